@@ -1,0 +1,63 @@
+"""The one registry of techniques: names, parameter models, knobs, and where each lives.
+
+This is all that `protocols` sees of `renderers`: nothing here imports drjit, mitsuba, moderngl or a technique.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from importlib import import_module
+
+from pydantic import BaseModel
+
+from renderers import parameters as p
+from renderers.technique import Technique
+from stimuli.errors import InputError, problem
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One technique as protocols, the command line and the tradeoff search see it.
+
+    ``knobs`` name the parameters that trade speed for accuracy, with the values a sweep tries. ``gaze_contingent``
+    techniques may not stand side by side. ``framed``: full frames at any content rate.
+    """
+
+    name: str
+    summary: str
+    params: type[BaseModel]
+    module: str
+    class_name: str
+    knobs: Mapping[str, tuple[object, ...]]
+    gaze_contingent: bool = False
+    framed: bool = False
+    baseline: bool = False
+
+
+_ENTRIES: tuple[Entry, ...] = ()
+CATALOGUE: Mapping[str, Entry] = {entry.name: entry for entry in _ENTRIES}
+
+
+def entry(name: str, where: str = "technique") -> Entry:
+    """The entry of ``name``; InputError with the valid names where there is none."""
+    if name not in CATALOGUE:
+        raise InputError(problem(where, "unknown technique", repr(name), " | ".join(CATALOGUE)))
+    return CATALOGUE[name]
+
+
+class _Techniques(Mapping[str, type[Technique]]):
+    """name -> class; the class's module is imported when it is first asked for."""
+
+    def __getitem__(self, name: str) -> type[Technique]:
+        found = CATALOGUE[name]
+        return getattr(import_module(found.module), found.class_name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(CATALOGUE)
+
+    def __len__(self) -> int:
+        return len(CATALOGUE)
+
+
+TECHNIQUES: Mapping[str, type[Technique]] = _Techniques()

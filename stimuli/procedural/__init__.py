@@ -1,0 +1,1 @@
+"""Procedural scenes, one file each; SCENES maps a name to its builder."""

@@ -1,0 +1,1 @@
+"""The lab: display, presenter, devices, session log, command line."""

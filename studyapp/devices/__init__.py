@@ -1,0 +1,1 @@
+"""Response boxes and eye trackers: decoders, readers in their own process, emulators."""

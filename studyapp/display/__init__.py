@@ -1,0 +1,1 @@
+"""Displays: each flips and says when."""

@@ -1,0 +1,1 @@
+"""Gaze: calibration, validation, fixation control."""

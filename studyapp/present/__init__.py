@@ -1,0 +1,1 @@
+"""Presenting: layouts, playlists, uploads, the frame loop."""
