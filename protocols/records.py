@@ -66,6 +66,7 @@ FLIP_DTYPE = np.dtype(
     ]
 )
 FLIP_EARLY, FLIP_PHASE_SLIP, FLIP_LIGHT_PATCH, FLIP_ONSET, FLIP_OFFSET = 1, 2, 4, 8, 16
+FLIP_LATE = 32  # past the deadline (1.05 or 1.2 periods) and yet nearer to this refresh than to the next
 
 GAZE_DTYPE = np.dtype(
     [

@@ -39,6 +39,10 @@ class Display(Protocol):
         """Show what was drawn at the next refresh, wait for it, and stamp it. Nothing else happens in here."""
         ...
 
+    def now_ns(self) -> int:
+        """The clock this display stamps with: the session clock, or the virtual display's own."""
+        ...
+
     def keys(self) -> list[tuple[str, int]]:
         """Key presses since the last call: (key name, session ns). Empty where the display has no keyboard."""
         ...
@@ -109,5 +113,5 @@ class FlipSink(Protocol):
     """Where per-refresh rows go: a shared-memory ring that a writer process drains. Never blocks, never allocates."""
 
     def put(self, row: np.ndarray) -> None:
-        """Copy one FLIP_DTYPE row in."""
+        """Copy FLIP_DTYPE rows in: an (N,) block (one row in the frame loop, a whole phase on the virtual display)."""
         ...

@@ -1,0 +1,425 @@
+"""The presenter: shows trials, questions and words on a display, and says what was really shown.
+
+Every kind of trial is a chain of phases (`studyapp.present.frame_loop`): cross, panels, gap, panels, blank.
+Times are nanoseconds of the display's clock, which is the session clock except on the virtual display.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
+from typing import Literal
+
+import moderngl
+import numpy as np
+
+from protocols.records import FLIP_DTYPE, FLIP_OFFSET, FLIP_ONSET, MAX_PANELS
+from protocols.trial import Question, Trial
+from renderers.technique import ViewGeometry
+from stimuli.errors import InputError, problem
+from studyapp.present.frame_loop import MissPolicy, PanelPlay, Phase, PhaseShown, Stage, show_phase, undisturbed
+from studyapp.present.layout import IN_SEQUENCE, Mirror, PanelRect, place_panels
+from studyapp.present.overlay import Style, Words, paint_cross, paint_question, paint_words, pixels_per_degree
+from studyapp.present.playlist import check_rate, refresh_count
+from studyapp.present.uploader import PanelTexture, Quads, Sprite, admit, touch
+from studyapp.seams import Display, FlipSink, FrameSource, GazeSource, Press, Responder
+
+DESK = ViewGeometry(width_m=0.5313, height_m=0.2989, distance_m=0.6)
+"""A 24-inch 16:9 screen at 60 cm: used where neither protocol nor lab file says."""
+OnOnset = Callable[[int], None]
+
+
+@dataclass(frozen=True)
+class TrialShown:
+    """What was shown of one trial. ``onset_ns``: stamp of the first stimulus refresh; ``onsets_ns``: of each interval
+    of a two-interval trial; ``offset_ns``: of the blank after it; ``refreshes``: of the raster during the stimulus;
+    ``missed``, ``early``, ``late``, ``slips``: during the stimulus; ``press``: the answer that ended it, if one did;
+    ``presses``: all, accepted or not; ``replays``: whole repetitions after the first showing."""
+
+    onset_ns: int
+    offset_ns: int
+    refreshes: int
+    missed: int
+    presses: tuple[Press, ...] = ()
+    replays: int = 0
+    press: Press | None = None
+    onsets_ns: tuple[int, ...] = ()
+    early: int = 0
+    late: int = 0
+    slips: int = 0
+    first_refresh: int = 0
+    aborted: bool = False
+    device_lost: bool = False
+    oldest_gaze_ns: int = -1
+
+    def timing_ok(self, max_missed: int = 0) -> bool:
+        """False where the trial is to be flagged and shown again: too many refreshes lost, an early swap or a slip."""
+        return self.missed <= max_missed and not self.early and not self.slips
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What came of a question or a screen of words. ``answer``: the meaning of the key (None: timed out, aborted or
+    device lost); times on the session clock."""
+
+    answer: str | None
+    press: Press | None
+    onset_ns: int
+    end_ns: int
+    timed_out: bool = False
+    aborted: bool = False
+    device_lost: bool = False
+    replays: int = 0
+    presses: tuple[Press, ...] = ()
+
+
+class KeptFlips:
+    """A FlipSink that keeps every row in memory: tests, benches, demos."""
+
+    def __init__(self) -> None:
+        self._blocks: list[np.ndarray] = []
+
+    def put(self, row: np.ndarray) -> None:
+        """Keep a copy of (N,) rows."""
+        self._blocks.append(row.copy())
+
+    def rows(self) -> np.ndarray:
+        """All rows so far, (N,) FLIP_DTYPE."""
+        return np.concatenate(self._blocks) if self._blocks else np.zeros(0, FLIP_DTYPE)
+
+
+@dataclass
+class Presenter:
+    """See the module. ``geometry``: the display as seen by the observer (letters have their size in degrees);
+    ``patch``: light patch for a photodiode, 'refresh' toggles at every refresh of a stimulus, 'onset' is lit while the
+    stimulus is up; ``abort_keys`` end anything at once. On the virtual display nothing is painted or uploaded."""
+
+    display: Display
+    sink: FlipSink
+    geometry: ViewGeometry = DESK
+    style: Style = field(default_factory=Style)
+    gap_px: int = 0
+    mirror: Mirror = "none"
+    patch: Literal["off", "refresh", "onset"] = "off"
+    abort_keys: frozenset[str] = frozenset()
+    disk_bytes_s: float | None = None
+    upload_limit_bytes_s: float | None = None
+
+    def __post_init__(self) -> None:
+        context = self.display.context()
+        self._gl: moderngl.Context | None = context if isinstance(context, moderngl.Context) else None
+        self._quads = None if self._gl is None else Quads(self._gl, self.display.size_px)
+        self._cross: Sprite | None = None
+        self._words: dict[object, Sprite] = {}
+        lit = dark = None
+        if self._gl is not None and self._quads is not None and self.patch != "off":
+            rect = self._patch_rect()
+            lit, dark = (self._still(rect, _flat(rect, code)) for code in (255, 0))
+        self._stage = Stage(self.display, self.sink, self._gl, self.style.background / 255, lit, dark)
+
+    # -- what a session calls -------------------------------------------------------------------------------------
+
+    def play(
+        self,
+        trial: Trial,
+        sources: Mapping[str, FrameSource],
+        responder: Responder | None = None,
+        *,
+        miss_policy: MissPolicy = "skip",
+        answer_keys: frozenset[str] | None = frozenset(),
+        min_view_s: float = 0.0,
+        window_s: float | None = None,
+        repeat: Literal["once", "until_answer"] = "once",
+        cross_s: float = 0.0,
+        gap_s: float = 0.5,
+        caption: str = "",
+        gaze: GazeSource | None = None,
+        on_onset: OnOnset | None = None,
+        modes_hz: Sequence[Fraction] = (),
+    ) -> TrialShown:
+        """Show the pictures of ``trial``; ``sources`` maps each panel's slot to its frames.
+
+        ``answer_keys``: a press of one of these at or after ``min_view_s`` ends the showing (empty: presses are kept,
+        and end nothing; None: any key does). ``repeat='until_answer'``: the sequence begins anew until an answer
+        comes or ``window_s`` is over. ``cross_s``: fixation cross beforehand; ``gap_s``: between the two intervals.
+        ``on_onset`` is called with the stamp right after the first refresh of each interval. Column p of the rows'
+        ``source`` is ``trial.panels[p]``. Raises InputError before anything is shown where clips, rates or layout
+        cannot be played (admission).
+        """
+        self._check(trial, sources, modes_hz)
+        refreshes = refresh_count(trial.duration_s, self.display.nominal_hz)
+        if refreshes < 1:
+            raise InputError(
+                problem(f"trial {trial.index}", "duration", f"{trial.duration_s:g} s", "a refresh or more")
+            )
+        slots = [panel.slot for panel in trial.panels]
+        in_sequence = len(slots) == 2 and all(slot in IN_SEQUENCE for slot in slots)
+        with self._panels(slots, sources) as plays:
+            over = self._over(trial.fixation == "fixed", caption)
+            shows = [[play] for play in plays] if in_sequence else [plays]
+            base = Phase(refreshes, abort_keys=self.abort_keys, patch=self._patch_mode(), sprites=over)
+            if repeat == "until_answer":
+                limit = None if window_s is None else refresh_count(window_s, self.display.nominal_hz)
+                base = replace(base, refreshes=limit, loop_refreshes=refreshes)
+            base = replace(base, marks=FLIP_ONSET, on_onset=on_onset, min_view_ns=round(min_view_s * 1e9))
+            done: list[PhaseShown] = []
+            with self._undisturbed():
+                if cross_s > 0:
+                    self._blank(refresh_count(cross_s, self.display.nominal_hz), responder, gaze, cross=True)
+                for place, panels in enumerate(shows):
+                    if place:
+                        gap = max(1, refresh_count(gap_s, self.display.nominal_hz))
+                        self._blank(gap, responder, gaze, cross=True, marks=FLIP_OFFSET)
+                    last = place == len(shows) - 1
+                    phase = replace(base, panels=panels, end_keys=answer_keys if last else frozenset())
+                    done.append(show_phase(self._stage, phase, responder, gaze, miss_policy))
+                    if done[-1].aborted or done[-1].device_lost:
+                        break
+                blank = self._blank(1, responder, gaze, cross=False, marks=FLIP_OFFSET)
+        return _trial_shown(done, blank, refreshes if repeat == "until_answer" else None)
+
+    def ask(
+        self,
+        question: Question,
+        responder: Responder,
+        *,
+        min_view_s: float | None = None,
+        window_s: float | None = None,
+        replay_key: str | None = None,
+        replay: Callable[[], object] | None = None,
+        max_replays: int = 1,
+        gaze: GazeSource | None = None,
+        on_onset: OnOnset | None = None,
+    ) -> Answer:
+        """Show a question until a key that means something is pressed, or its response window is over.
+
+        ``question.keys`` maps key names to answers (empty: the key's own name is the answer, and 'confirm' takes any
+        key). A press of ``replay_key`` calls ``replay`` (which plays the trial again) and asks anew, at most
+        ``max_replays`` times; ``Answer.replays`` counts them.
+        """
+        keys = _meanings(question)
+        view_s = question.min_view_s if min_view_s is None else min_view_s
+        window = question.window_s if window_s is None else window_s
+        replays, presses = 0, []
+        while True:
+            again = replay_key is not None and replay is not None and replays < max_replays
+            ends = (
+                None if keys is None else frozenset(keys) | (frozenset([replay_key]) if again and replay_key else set())
+            )
+            words = self._sprite(question, lambda: paint_question(question, *self._where()))
+            shown = self._screen(words, responder, ends, view_s, window, gaze, on_onset)
+            presses += shown.presses
+            if again and replay is not None and shown.press is not None and shown.press.key == replay_key:
+                replays += 1
+                replay()
+                continue
+            return _answer(shown, keys, replays, presses)
+
+    def show_words(
+        self,
+        text: str,
+        responder: Responder | None = None,
+        *,
+        keys: frozenset[str] | None = None,
+        min_view_s: float = 0.0,
+        window_s: float | None = None,
+        duration_s: float | None = None,
+        gaze: GazeSource | None = None,
+        on_onset: OnOnset | None = None,
+    ) -> Answer:
+        """Instructions, consent, breaks, feedback: words until a key of ``keys`` (None: any) is pressed.
+
+        ``min_view_s``: earlier presses do not count; ``window_s``: the longest wait (then ``timed_out``);
+        ``duration_s``: exactly so long, whatever is pressed (feedback).
+        """
+        words = self._sprite(text, lambda: paint_words(text, *self._where()))
+        ends = frozenset() if duration_s is not None else keys
+        limit = duration_s if duration_s is not None else window_s
+        shown = self._screen(words, responder, ends, min_view_s, limit, gaze, on_onset)
+        answer = _answer(shown, None, 0, shown.presses)
+        return replace(answer, timed_out=False) if duration_s is not None else answer
+
+    def rest(self, duration_s: float, responder: Responder | None = None, cross: bool = False) -> int:
+        """The background (with a cross) for so long; the stamp of its last refresh."""
+        with self._undisturbed():
+            count = max(1, refresh_count(duration_s, self.display.nominal_hz))
+            return self._blank(count, responder, None, cross=cross).end_ns
+
+    def close(self) -> None:
+        """Give the pictures back; the display is its owner's to close."""
+        for sprite in [*self._words.values(), self._cross, self._stage.patch_on, self._stage.patch_off]:
+            if sprite is not None:
+                sprite.release()
+        self._words.clear()
+        self._cross = None
+        if self._quads is not None:
+            self._quads.release()
+
+    # -- how it is done -------------------------------------------------------------------------------------------
+
+    def _check(self, trial: Trial, sources: Mapping[str, FrameSource], modes_hz: Sequence[Fraction]) -> None:
+        where = f"trial {trial.index}"
+        if not 1 <= len(trial.panels) <= MAX_PANELS:
+            raise InputError(problem(where, "panels", len(trial.panels), f"1 to {MAX_PANELS}"))
+        absent = [panel.slot for panel in trial.panels if panel.slot not in sources]
+        if absent:
+            raise InputError(problem(where, "frames for panels", f"none for {', '.join(absent)}", "one source a panel"))
+        used = {panel.slot: sources[panel.slot] for panel in trial.panels}
+        for slot, source in used.items():
+            check_rate(f"{where}, panel {slot}", source.rate_hz, self.display.nominal_hz, modes_hz)
+            if source.frame_count < 1:
+                raise InputError(problem(f"{where}, panel {slot}", "frames", source.frame_count, "1 or more"))
+        if self._gl is not None:
+            admission = admit(used, self.disk_bytes_s, self.upload_limit_bytes_s)
+            if not admission.from_disk:
+                for source in {id(s): s for s in used.values() if not getattr(s, "live", False)}.values():
+                    touch(source)
+
+    @contextmanager
+    def _panels(self, slots: Sequence[str], sources: Mapping[str, FrameSource]) -> Iterator[list[PanelPlay]]:
+        """Textures of a trial, given back after it."""
+        rects = place_panels({s: sources[s].size_px for s in slots}, self.display.size_px, self.gap_px, self.mirror)
+        by_slot = {rect.slot: rect for rect in rects}
+        textures: list[PanelTexture] = []
+        plays = []
+        try:
+            for column, slot in enumerate(slots):
+                source, texture = sources[slot], None
+                if self._gl is not None and self._quads is not None:
+                    texture = PanelTexture(self._gl, self._quads, by_slot[slot], source)
+                    textures.append(texture)
+                rate = source.rate_hz / self.display.nominal_hz
+                plays.append(PanelPlay(column, rate, source.frame_count, texture))
+            yield plays
+        finally:
+            for texture in textures:
+                texture.release()
+
+    def _screen(
+        self, words: Sequence[Sprite], responder: Responder | None, ends: frozenset[str] | None, view_s: float,
+        window_s: float | None, gaze: GazeSource | None, on_onset: OnOnset | None,
+    ) -> PhaseShown:  # fmt: skip
+        limit = None if window_s is None else max(1, refresh_count(window_s, self.display.nominal_hz))
+        if responder is None and limit is None:
+            raise ValueError("show_words: responder: got None, wanted one where no duration or window is given")
+        phase = Phase(
+            limit, sprites=words, end_keys=ends, min_view_ns=round(view_s * 1e9), abort_keys=self.abort_keys,
+            on_onset=on_onset,
+        )  # fmt: skip
+        with self._undisturbed():
+            return show_phase(self._stage, phase, responder, gaze, "skip")
+
+    def _blank(
+        self, refreshes: int, responder: Responder | None, gaze: GazeSource | None, cross: bool, marks: int = 0
+    ) -> PhaseShown:
+        sprites = self._over(cross, "")
+        phase = Phase(refreshes, sprites=sprites, marks=marks, patch="off" if self.patch == "off" else "dark")
+        return show_phase(self._stage, phase, responder, gaze, "skip")
+
+    def _patch_mode(self) -> Literal["off", "refresh", "on", "dark"]:
+        return {"off": "off", "refresh": "refresh", "onset": "on"}[self.patch]  # type: ignore[return-value]
+
+    def _undisturbed(self):
+        return nullcontext() if self._gl is None else undisturbed()
+
+    def _where(self) -> tuple[tuple[int, int], ViewGeometry, Style]:
+        return self.display.size_px, self.geometry, self.style
+
+    def _over(self, cross: bool, caption: str) -> list[Sprite]:
+        """What stands above the panels."""
+        if self._gl is None:
+            return []
+        sprites: list[Sprite] = []
+        if cross:
+            if self._cross is None:
+                picture = paint_cross(*self._where())
+                size, (width, height) = picture.shape[0], self.display.size_px
+                rect = PanelRect("cross", (width - size) // 2, (height - size) // 2, size, size)
+                self._cross = self._still(rect, picture)
+            sprites.append(self._cross)
+        if caption:
+            width, height = self.display.size_px
+            box = (0, height - height // 8, width, height // 8)
+            sprites += self._sprite(("caption", caption), lambda: paint_words(caption, *self._where(), box))
+        return sprites
+
+    def _sprite(self, key: object, paint: Callable[[], Words]) -> list[Sprite]:
+        """A painted picture, kept for the next time (the last 32)."""
+        if self._gl is None:
+            return []
+        name = repr(key)
+        if name not in self._words:
+            words = paint()
+            height, width = words.picture.shape[:2]
+            if len(self._words) >= 32:
+                self._words.pop(next(iter(self._words))).release()
+            self._words[name] = self._still(PanelRect("words", words.x_px, words.y_px, width, height), words.picture)
+        return [self._words[name]]
+
+    def _still(self, rect: PanelRect, picture: np.ndarray) -> Sprite:
+        if self._gl is None or self._quads is None:
+            raise RuntimeError("no pixels are drawn on a virtual display")
+        return Sprite(self._gl, self._quads, rect, picture)
+
+    def _patch_rect(self) -> PanelRect:
+        width, height = self.display.size_px
+        size = max(8, round(self.style.patch_deg * pixels_per_degree(self.display.size_px, self.geometry)))
+        x = width - size if self.style.patch_corner.endswith("right") else 0
+        y = height - size if self.style.patch_corner.startswith("lower") else 0
+        return PanelRect("patch", x, y, size, size)
+
+
+def _flat(rect: PanelRect, code: int) -> np.ndarray:
+    picture = np.full((rect.height_px, rect.width_px, 4), code, np.uint8)
+    picture[..., 3] = 255
+    return picture
+
+
+def _meanings(question: Question) -> dict[str, str] | None:
+    """Key -> answer; None: any key."""
+    if question.keys:
+        return dict(question.keys)
+    if question.kind == "likert":
+        return {str(value): str(value) for value in range(question.low, question.high + 1)}
+    return {option: option for option in question.options} or None
+
+
+def _answer(shown: PhaseShown, keys: Mapping[str, str] | None, replays: int, presses: Sequence[Press]) -> Answer:
+    press = None if shown.aborted else shown.press
+    meaning = None if press is None else press.key if keys is None else keys[press.key]
+    timed_out = shown.press is None and not shown.device_lost
+    return Answer(
+        meaning,
+        press,
+        shown.onset_ns,
+        shown.end_ns,
+        timed_out,
+        shown.aborted,
+        shown.device_lost,
+        replays,
+        tuple(presses),
+    )
+
+
+def _trial_shown(done: Sequence[PhaseShown], blank: PhaseShown, loop: int | None) -> TrialShown:
+    """Phases of a stimulus as one record."""
+    first, last = done[0], done[-1]
+    return TrialShown(
+        onset_ns=first.onset_ns,
+        offset_ns=blank.onset_ns,
+        refreshes=sum(phase.span for phase in done),
+        missed=sum(phase.missed for phase in done),
+        presses=tuple(press for phase in [*done, blank] for press in phase.presses),
+        replays=0 if loop is None else max(0, last.span - 1) // loop,
+        press=last.press,
+        onsets_ns=tuple(phase.onset_ns for phase in done),
+        early=sum(phase.early for phase in done),
+        late=sum(phase.late for phase in done),
+        slips=sum(phase.slips for phase in done),
+        first_refresh=first.first_refresh,
+        aborted=any(phase.aborted for phase in done),
+        device_lost=any(phase.device_lost for phase in done),
+        oldest_gaze_ns=max(phase.oldest_gaze_ns for phase in done),
+    )

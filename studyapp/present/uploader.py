@@ -1,0 +1,195 @@
+"""Pictures on their way to the display: textures filled one refresh ahead, and the admission check before a trial.
+
+A panel owns two textures: one is shown while the next refresh's frame is written into the other. On GPUs the write
+goes through a ring of pixel buffers (the copy to the device then runs beside the draw); a software rasteriser has no
+device to copy to, a second copy in memory is only a loss there, so it is written directly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import moderngl
+import numpy as np
+import psutil
+
+from stimuli.errors import InputError, problem
+from studyapp.present.layout import PanelRect
+from studyapp.seams import FrameSource
+
+VERTEX = """
+#version 330
+in vec2 place;
+in vec2 texel;
+out vec2 uv;
+void main() { uv = texel; gl_Position = vec4(place, 0.0, 1.0); }
+"""
+FRAGMENT = """
+#version 330
+uniform sampler2D picture;
+in vec2 uv;
+out vec4 code;
+void main() { code = texelFetch(picture, ivec2(uv), 0); }
+"""
+SOFTWARE_RENDERERS = ("llvmpipe", "softpipe", "swrast", "SwiftShader")
+PBO_RING = 3
+
+
+def is_software(gl: moderngl.Context) -> bool:
+    """True where OpenGL runs on the CPU."""
+    return any(name in str(gl.info["GL_RENDERER"]) for name in SOFTWARE_RENDERERS)
+
+
+class Quads:
+    """The program that draws textures 1:1 at pixel rectangles; one per context."""
+
+    def __init__(self, gl: moderngl.Context, display_px: tuple[int, int]) -> None:
+        self._gl, self._display_px = gl, display_px
+        self._program = gl.program(vertex_shader=VERTEX, fragment_shader=FRAGMENT)
+
+    def quad(self, rect: PanelRect) -> tuple[moderngl.Buffer, moderngl.VertexArray]:
+        """Vertices of one rectangle; texel coordinates run from its top left."""
+        width, height = self._display_px
+        x0, x1 = 2 * rect.x_px / width - 1, 2 * (rect.x_px + rect.width_px) / width - 1
+        y0, y1 = 1 - 2 * rect.y_px / height, 1 - 2 * (rect.y_px + rect.height_px) / height
+        u0, u1 = (rect.width_px, 0) if rect.flipped else (0, rect.width_px)
+        corners = [x0, y0, u0, 0, x0, y1, u0, rect.height_px, x1, y0, u1, 0, x1, y1, u1, rect.height_px]
+        buffer = self._gl.buffer(np.array(corners, "f4"))
+        return buffer, self._gl.vertex_array(self._program, [(buffer, "2f 2f", "place", "texel")])
+
+    def release(self) -> None:
+        """Give the program back."""
+        self._program.release()
+
+
+class Sprite:
+    """A still RGBA8 picture at a rectangle: words, crosses, the light patch. Transparent parts show what is below."""
+
+    def __init__(self, gl: moderngl.Context, quads: Quads, rect: PanelRect, picture: np.ndarray) -> None:
+        self._gl = gl
+        self._texture = gl.texture((rect.width_px, rect.height_px), 4, np.ascontiguousarray(picture), alignment=1)
+        self._buffer, self._vertices = quads.quad(rect)
+        self._blended = bool((picture[..., 3] < 255).any())
+
+    def draw(self) -> None:
+        """Draw it now."""
+        if self._blended:
+            self._gl.enable(moderngl.BLEND)
+        self._texture.use(0)
+        self._vertices.render(moderngl.TRIANGLE_STRIP)
+        if self._blended:
+            self._gl.disable(moderngl.BLEND)
+
+    def release(self) -> None:
+        """Give texture and vertices back."""
+        for thing in (self._vertices, self._buffer, self._texture):
+            thing.release()
+
+
+class PanelTexture:
+    """One panel's two textures and the frames they hold."""
+
+    def __init__(self, gl: moderngl.Context, quads: Quads, rect: PanelRect, source: FrameSource) -> None:
+        if source.size_px != (rect.width_px, rect.height_px):
+            wanted = f"{rect.width_px}x{rect.height_px}"
+            raise InputError(problem(f"panel {rect.slot}", "clip size", "{}x{}".format(*source.size_px), wanted))
+        self._source = source
+        self._textures = [gl.texture(source.size_px, 4, alignment=1) for _ in range(2)]
+        for texture in self._textures:
+            texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
+        self._holds = [-1, -1]
+        self._shown = 0
+        size = source.size_px[0] * source.size_px[1] * 4
+        self._ring = [] if is_software(gl) else [gl.buffer(reserve=size, dynamic=True) for _ in range(PBO_RING)]
+        self._turn = 0
+        self._buffer, self._vertices = quads.quad(rect)
+        self.live = bool(getattr(source, "live", False))
+
+    def fetch(self, index: int) -> None:
+        """Have frame ``index`` in a texture; a write only where it is not there yet."""
+        if index in self._holds:
+            return
+        spare = 1 - self._shown
+        self._write(spare, index)
+
+    def draw(self, index: int) -> None:
+        """Draw frame ``index``, fetching it now where nobody did before (after a miss, and live)."""
+        if self.live and index != self._holds[self._shown]:
+            self._write(1 - self._shown, index)
+        self.fetch(index)
+        self._shown = self._holds.index(index)
+        self._textures[self._shown].use(0)
+        self._vertices.render(moderngl.TRIANGLE_STRIP)
+
+    def forget(self) -> None:
+        """Hold nothing (a live source begins anew)."""
+        self._holds = [-1, -1]
+
+    def _write(self, place: int, index: int) -> None:
+        frame = self._source.frame(index)
+        texture = self._textures[place]
+        if self._ring:
+            ring = self._ring[self._turn]
+            self._turn = (self._turn + 1) % len(self._ring)
+            ring.orphan()
+            ring.write(frame)
+            texture.write(ring)
+        else:
+            texture.write(frame)
+        self._holds[place] = index
+
+    def release(self) -> None:
+        """Give textures, buffers and vertices back."""
+        for thing in (self._vertices, self._buffer, *self._textures, *self._ring):
+            thing.release()
+
+
+@dataclass(frozen=True)
+class Admission:
+    """What a trial asks of the machine. ``upload_bytes_s``: written to textures a second; ``resident_bytes``: all its
+    clips; ``from_disk``: they do not fit in memory and are read while they play."""
+
+    resident_bytes: int
+    upload_bytes_s: float
+    available_bytes: int
+    from_disk: bool
+
+
+def admit(
+    sources: Mapping[str, FrameSource],
+    disk_bytes_s: float | None = None,
+    upload_limit_bytes_s: float | None = None,
+    available_bytes: int | None = None,
+) -> Admission:
+    """Refuse a trial that this machine cannot play (decisions.md, playback memory).
+
+    All clips of the trial fit in 80 % of the free memory, or the measured disk rate ``disk_bytes_s`` is twice what is
+    needed; ``upload_limit_bytes_s`` is the measured upload rate. Raises InputError naming what is short.
+    """
+    stored = {slot: source for slot, source in sources.items() if not getattr(source, "live", False)}
+    frame_bytes = {slot: source.size_px[0] * source.size_px[1] * 4 for slot, source in sources.items()}
+    # Two panels may show one clip: its pages are counted once.
+    unique = {id(source): frame_bytes[slot] * source.frame_count for slot, source in stored.items()}
+    resident = sum(unique.values())
+    upload = float(sum(frame_bytes[slot] * source.rate_hz for slot, source in sources.items()))
+    available = psutil.virtual_memory().available if available_bytes is None else available_bytes
+    from_disk = resident > 0.8 * available
+    read = float(sum(frame_bytes[slot] * source.rate_hz for slot, source in stored.items()))
+    problems = []
+    if from_disk and (disk_bytes_s is None or disk_bytes_s < 2 * read):
+        disk = "a disk of unknown rate" if disk_bytes_s is None else f"a disk of {disk_bytes_s / 1e6:.0f} MB/s"
+        got = f"{resident / 1e9:.2f} GB of clips, {available / 1e9:.2f} GB free memory and {disk}"
+        wanted = f"clips within 80 % of free memory, or a disk of {2 * read / 1e6:.0f} MB/s"
+        problems.append(problem("admission", "playback memory", got, wanted))
+    if upload_limit_bytes_s is not None and upload > upload_limit_bytes_s:
+        wanted = f"at most {upload_limit_bytes_s / 1e6:.0f} MB/s (measured here)"
+        problems.append(problem("admission", "upload", f"{upload / 1e6:.0f} MB/s", wanted))
+    if problems:
+        raise InputError(*problems)
+    return Admission(resident, upload, available, from_disk)
+
+
+def touch(source: FrameSource) -> int:
+    """Read one byte of each memory page of a stored clip, so that no refresh waits for the disk; returns their sum."""
+    return sum(int(source.frame(index).reshape(-1)[::4096].sum()) for index in range(source.frame_count))
