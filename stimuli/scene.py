@@ -1,6 +1,6 @@
 """A scene is data: meshes, rigid movers, lights, a camera path. Nothing here traces or draws.
 
-The glTF vocabulary is pyrender's own: `pyrender.Primitive` (vertex arrays), `pyrender.MetallicRoughnessMaterial`
+The glTF vocabulary is pyrender's own: `Primitive` (vertex arrays), `pyrender.MetallicRoughnessMaterial`
 (with `pyrender.Texture` and `pyrender.Sampler`). What glTF 2.0's core lacks stands beside it: Phong values, area
 lights, pose tracks. World: right-handed, +y up where the file says nothing; metres for our own scenes.
 """
@@ -14,7 +14,7 @@ from typing import Literal, Protocol
 import numpy as np
 
 os.environ.setdefault("PYOPENGL_PLATFORM", "egl")  # pyrender picks its platform at import; ours never needs a display
-import pyrender  # noqa: E402  (after the platform is chosen)
+import pyrender
 
 RGB = tuple[float, float, float]
 
@@ -82,7 +82,9 @@ class Material:
     """A glTF metallic-roughness material; ``phong`` replaces its shading model where a file gives such values.
 
     ``pbr`` carries factors, textures (`pyrender.Texture`: ``source`` uint8 array (H, W, C), ``sampler`` with GL wrap
-    and filter enums), alphaMode/alphaCutoff and doubleSided. ``unlit``: base colour is emitted as it is.
+    and filter enums), alphaMode/alphaCutoff and doubleSided. ``unlit``: base colour is emitted as it is. All textures
+    are looked up at the part's texcoord_0, v downwards (glTF). ``emissiveFactor`` may exceed 1 (its strength included).
+    ``ior``: F0 of a dielectric is ((ior - 1) / (ior + 1))^2; 0.04 for 1.5.
     """
 
     name: str
@@ -90,18 +92,34 @@ class Material:
     phong: Phong | None = None
     transmission: float = 0.0
     unlit: bool = False
+    ior: float = 1.5
+
+
+class Primitive(pyrender.Primitive):
+    """pyrender's vertex arrays with exact indices: (F, 3) uint32 (pyrender's own setter rounds them to float32)."""
+
+    @property
+    def indices(self) -> np.ndarray:
+        """(F, 3) uint32 vertex numbers."""
+        return self._indices
+
+    @indices.setter
+    def indices(self, value: np.ndarray) -> None:
+        self._indices = np.ascontiguousarray(value, dtype=np.uint32)
 
 
 @dataclass(frozen=True)
 class Part:
     """One primitive of triangles with one material. ``matrix`` (4, 4) float64 takes it to world (static) or body space.
 
-    ``primitive``: positions (N, 3) float32, normals (N, 3) or None (flat), texcoord_0 (N, 2) or None, color_0 or None,
-    indices (F, 3). ``positions64`` holds the file's own float64 coordinates where float32 would lose them.
+    ``primitive``: positions (N, 3) float32, normals (N, 3) or None (flat), texcoord_0 (N, 2) or None, color_0 (N, 4)
+    linear, multiplying the base colour, or None, indices (F, 3) uint32, wound so that the front face is
+    counter-clockwise *after* ``matrix`` (and the mover's pose), mirroring matrices included. ``positions64`` holds the
+    file's own float64 coordinates where float32 would lose them.
     """
 
     name: str
-    primitive: pyrender.Primitive
+    primitive: Primitive
     material: Material
     matrix: np.ndarray = field(default_factory=lambda: np.eye(4))
     positions64: np.ndarray | None = None
@@ -156,7 +174,8 @@ class Scene:
 
     ``ambient`` multiplies Phong ambient terms and base colours. ``sha256`` identifies the content (of the files, or of
     a procedural recipe and its version). ``notes`` are lines that the user should hear (what was assumed or ignored).
-    ``duration_s`` is the length of the scene's own animation (0: it does not move).
+    ``duration_s`` is the length of the scene's own animation (0: it does not move). ``view`` is a second, fixed view
+    where the files name one (BART's ``view``), whether or not ``camera`` moves.
     """
 
     name: str
@@ -170,6 +189,7 @@ class Scene:
     default_exposure: float | None = None
     duration_s: float = 0.0
     notes: tuple[str, ...] = ()
+    view: CameraPath | None = None
 
     @property
     def triangle_count(self) -> int:

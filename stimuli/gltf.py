@@ -1,0 +1,341 @@
+"""glTF 2.0 files (.gltf, .glb) as scene data: static parts, rigid movers, lights, a camera.
+
+A mover is a rigid body: all mesh nodes under the same nearest animated node. Its pose is that node's world matrix.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stimuli.errors import InputError, problem
+from stimuli.gltf_animation import Channel, NodeTrack, Rig, RigNode, compose, unit
+from stimuli.gltf_buffers import Document, open_document
+from stimuli.gltf_materials import MaterialReader
+from stimuli.gltf_meshes import ReadPrimitive, read_primitive, skinned_vertices
+from stimuli.scene import CameraPath, Light, Mover, Part, PoseTrack, Primitive, StillCamera
+
+_WIDTH = {"translation": 3, "rotation": 4, "scale": 3}
+_REST = {"translation": (0.0, 0.0, 0.0), "rotation": (0.0, 0.0, 0.0, 1.0), "scale": (1.0, 1.0, 1.0)}
+
+
+@dataclass(frozen=True)
+class TrackCamera:
+    """A camera carried by a track; the matrix is made rigid (scale and shear of its node do not count)."""
+
+    track: PoseTrack
+    yfov_rad: float
+    name: str = "file"
+
+    def pose(self, time_s: np.ndarray) -> np.ndarray:
+        """(T,) -> (T, 4, 4) rigid camera-to-world matrices."""
+        return rigid(self.track.pose(time_s))
+
+
+@dataclass
+class GltfContent:
+    """What a glTF file holds. ``node_track`` finds the track (or matrix) of a node by its name."""
+
+    path: Path
+    static: list[Part] = field(default_factory=list)
+    movers: list[Mover] = field(default_factory=list)
+    lights: list[Light] = field(default_factory=list)
+    camera: CameraPath | None = None
+    duration_s: float = 0.0
+    animation: str = ""
+    has_phong: bool = False
+    notes: list[str] = field(default_factory=list)
+    digest: Any = None
+    node_poses: dict[str, tuple[Rig, int, np.ndarray]] = field(default_factory=dict)
+
+    def node_track(self, name: str) -> NodeTrack | np.ndarray | None:
+        """The `NodeTrack` of the node called ``name``, its matrix where it never moves, None where there is none."""
+        if name not in self.node_poses:
+            return None
+        rig, animated, below = self.node_poses[name]
+        return below if animated < 0 else NodeTrack(rig, animated, below)
+
+
+def rigid(matrix: np.ndarray) -> np.ndarray:
+    """(..., 4, 4) with the rotation part made orthonormal and right-handed: z kept, y next, x from both."""
+    z = _unit3(matrix[..., :3, 2])
+    y = matrix[..., :3, 1]
+    y = _unit3(y - np.sum(y * z, -1, keepdims=True) * z)
+    result = np.zeros(matrix.shape)
+    result[..., :3, 0] = np.cross(y, z)
+    result[..., :3, 1], result[..., :3, 2] = y, z
+    result[..., :3, 3] = matrix[..., :3, 3]
+    result[..., 3, 3] = 1.0
+    return result
+
+
+def read_gltf(path: Path, animation: str | None = None) -> GltfContent:
+    """Read a file. ``animation``: by name; None takes the first. InputError where it cannot be read."""
+    return _Reader(open_document(path), animation).read()
+
+
+class _Reader:
+    """One pass over the nodes of one document."""
+
+    def __init__(self, document: Document, animation: str | None) -> None:
+        self._document = document
+        self._materials = MaterialReader(document)
+        self._nodes = document.items("nodes")
+        self._primitives: dict[tuple[int, int, tuple[float, ...]], ReadPrimitive | None] = {}
+        self._arrays: dict[tuple[int, bool], Primitive] = {}
+        self._parts: dict[int, list[Part]] = {}
+        self._content = GltfContent(document.path, notes=document.notes, digest=document.digest)
+        self._channels = self._read_channels(animation)
+        self._animated = {channel.node for channel in self._channels}
+        # Per visited node: nearest animated node (itself included; -1: none) and the matrix from there to it.
+        self._anchor: dict[int, tuple[int, np.ndarray]] = {}
+        self._rig_nodes: list[RigNode] = []
+        self._walk()
+
+    def read(self) -> GltfContent:
+        content = self._content
+        for node in self._anchor:
+            self._read_node(node)
+        names = {node: str(self._nodes[node].get("name", f"node {node}")) for node in self._parts}
+        content.movers = [
+            Mover(names[node], tuple(parts), NodeTrack(self._rig, node)) for node, parts in self._parts.items() if parts
+        ]
+        materials = [part.material for part in [*content.static, *(p for m in content.movers for p in m.parts)]]
+        content.has_phong = any(material.phong is not None for material in materials)
+        content.duration_s = max((float(channel.times_s[-1]) for channel in self._channels), default=0.0)
+        for node, (animated, below) in self._anchor.items():
+            name = str(self._nodes[node].get("name", f"node {node}"))
+            content.node_poses.setdefault(name, (self._rig, animated, below))
+        return content
+
+    @cached_property
+    def _rig(self) -> Rig:
+        return Rig(self._rig_nodes, [channel for channel in self._channels if channel.node in self._anchor])
+
+    @cached_property
+    def _start(self) -> np.ndarray:
+        """World matrices of the animated nodes at time 0."""
+        return self._rig.poses(np.zeros(1))[:, 0]
+
+    def _world_at_start(self, node: int) -> np.ndarray:
+        animated, below = self._anchor[node]
+        return below if animated < 0 else self._start[self._rig.row[animated]] @ below
+
+    # --- animations ---
+
+    def _read_channels(self, wanted: str | None) -> list[Channel]:
+        document = self._document
+        animations = document.items("animations")
+        names = [str(entry.get("name", f"animation {i}")) for i, entry in enumerate(animations)]
+        if wanted is not None and wanted not in names:
+            raise InputError(
+                problem(document.path, "animation", repr(wanted), f"one of {' | '.join(names) or '(none)'}")
+            )
+        if not animations:
+            return []
+        chosen = 0 if wanted is None else names.index(wanted)
+        if wanted is None and len(names) > 1:
+            document.note(f"{document.path.name}: {len(names)} animations, the first ({names[0]}) is played")
+        self._content.animation = names[chosen]
+        channels = []
+        for number, channel in enumerate(animations[chosen].get("channels", [])):
+            target = channel.get("target", {})
+            path, node = target.get("path"), target.get("node")
+            if path == "weights":
+                document.note(
+                    f"{document.path.name}: morph weights are not animated; the mesh keeps its resting weights"
+                )
+            elif path not in _WIDTH or node is None:
+                document.note(
+                    f"{document.path.name}: animation channel of {path!r} without a node to move is not played"
+                )
+            else:
+                document.item("nodes", node, "animation channel")
+                where = f"{document.path}: animation {names[chosen]!r} channel {number}"
+                channels.append(self._read_channel(animations[chosen], channel, node, path, where))
+        return channels
+
+    def _read_channel(
+        self, animation: dict[str, Any], channel: dict[str, Any], node: int, path: Any, where: str
+    ) -> Channel:
+        sampler = animation["samplers"][channel["sampler"]]
+        kind = sampler.get("interpolation", "LINEAR")
+        times = self._document.array(sampler["input"])[:, 0]
+        values = self._document.array(sampler["output"])
+        width = _WIDTH[path]
+        if kind not in ("LINEAR", "STEP", "CUBICSPLINE"):
+            raise InputError(problem(where, "interpolation", kind, "LINEAR | STEP | CUBICSPLINE"))
+        if not len(times) or not np.isfinite(times).all() or (np.diff(times) < 0.0).any():
+            raise InputError(problem(where, "key times", "none, unsorted or nan", "increasing finite seconds"))
+        per_key = 3 if kind == "CUBICSPLINE" else 1
+        if values.shape != (len(times) * per_key, width):
+            got, wanted = f"{values.shape[0]} x {values.shape[1]}", f"{len(times) * per_key} x {width}"
+            raise InputError(problem(where, f"{path} keys", got, wanted))
+        if not np.isfinite(values).all():
+            raise InputError(problem(where, f"{path} keys", "nan or inf", "finite numbers"))
+        shaped = values.reshape(len(times), 3, width) if per_key == 3 else values
+        return Channel(node, path, times, shaped, kind, times_key=int(sampler["input"]))
+
+    # --- nodes ---
+
+    def _walk(self) -> None:
+        """Visit the scene's nodes, parents first; fill `_anchor` and `_rig_nodes`."""
+        queue = [(root, -1, np.eye(4)) for root in reversed(self._roots())]
+        while queue:
+            node, animated, above = queue.pop()
+            entry = self._document.item("nodes", node, "scene or children")
+            if node in self._anchor:
+                raise InputError(problem(self._document.path, f"node {node}", "reached twice", "a tree of nodes"))
+            if node in self._animated:
+                if "matrix" in entry:
+                    self._document.note(
+                        f"{self._document.path.name}: animated node {node} has a matrix, which glTF forbids; ignored"
+                    )
+                rest = {key: np.asarray(entry.get(key, value), np.float64) for key, value in _REST.items()}
+                self._rig_nodes.append(RigNode(node, animated, above, **rest))
+                animated, below = node, np.eye(4)
+            else:
+                below = above @ self._local(node, entry)
+            self._anchor[node] = animated, below
+            queue.extend((child, animated, below) for child in reversed(entry.get("children", [])))
+
+    def _roots(self) -> list[int]:
+        scenes = self._document.items("scenes")
+        if scenes:
+            return list(self._document.item("scenes", self._document.json.get("scene", 0), "scene").get("nodes", []))
+        children = {child for entry in self._nodes for child in entry.get("children", [])}
+        return [node for node in range(len(self._nodes)) if node not in children]
+
+    def _local(self, node: int, entry: dict[str, Any]) -> np.ndarray:
+        if "matrix" in entry:
+            local = np.asarray(entry["matrix"], np.float64).reshape(4, 4).T
+        else:
+            parts = {key: np.asarray(entry.get(key, value), np.float64) for key, value in _REST.items()}
+            local = compose(parts["translation"], unit(parts["rotation"]), parts["scale"])
+        if not np.isfinite(local).all():
+            raise InputError(problem(self._document.path, f"node {node}", "nan or inf in its matrix", "finite numbers"))
+        return local
+
+    def _read_node(self, node: int) -> None:
+        entry = self._nodes[node]
+        if "mesh" in entry:
+            self._read_mesh_node(node, entry)
+        if "camera" in entry:
+            self._read_camera(node, entry["camera"])
+        light = entry.get("extensions", {}).get("KHR_lights_punctual", {}).get("light")
+        if light is not None:
+            self._read_light(node, light)
+
+    def _read_mesh_node(self, node: int, entry: dict[str, Any]) -> None:
+        animated, below = self._anchor[node]
+        mirrored = bool(np.linalg.det(self._world_at_start(node)[:3, :3]) < 0.0)
+        for name, primitive in self._mesh_primitives(entry):
+            if "skin" in entry and primitive.joints is not None:
+                self._content.static.append(self._skinned_part(name, primitive, entry["skin"]))
+                continue
+            key = id(primitive), mirrored
+            if key not in self._arrays:
+                self._arrays[key] = primitive.as_pyrender(mirrored)
+            part = Part(name, self._arrays[key], primitive.material, below, primitive.positions64)
+            (self._content.static if animated < 0 else self._parts.setdefault(animated, [])).append(part)
+
+    def _mesh_primitives(self, node: dict[str, Any]) -> Iterator[tuple[str, ReadPrimitive]]:
+        index = node["mesh"]
+        mesh = self._document.item("meshes", index, "node")
+        weights = tuple(float(w) for w in node.get("weights", mesh.get("weights", [])))
+        for number in range(len(mesh.get("primitives", []))):
+            key = index, number, weights
+            if key not in self._primitives:
+                self._primitives[key] = read_primitive(self._document, self._materials, mesh, number, list(weights))
+            primitive = self._primitives[key]
+            if primitive is not None:
+                base = str(node.get("name", mesh.get("name", f"mesh {index}")))
+                yield (base if number == 0 else f"{base}#{number}"), primitive
+
+    def _skinned_part(self, name: str, primitive: ReadPrimitive, skin_index: int) -> Part:
+        skin = self._document.item("skins", skin_index, "node")
+        joints = list(skin.get("joints", []))
+        assert primitive.joints is not None
+        if primitive.joints.size and int(primitive.joints.max()) >= len(joints):
+            raise InputError(
+                problem(
+                    self._document.path, f"skin {skin_index} joint", int(primitive.joints.max()), f"below {len(joints)}"
+                )
+            )
+        missing = [joint for joint in joints if joint not in self._anchor]
+        if missing:
+            raise InputError(
+                problem(self._document.path, f"skin {skin_index} joint", missing[0], "a node of the scene")
+            )
+        bind = np.tile(np.eye(4), (len(joints), 1, 1))
+        if "inverseBindMatrices" in skin:
+            stored = self._document.array(skin["inverseBindMatrices"]).reshape(-1, 4, 4).transpose(0, 2, 1)
+            bind[: len(stored)] = stored[: len(joints)]
+        matrices = np.stack([self._world_at_start(joint) for joint in joints]) @ bind
+        positions, normals = skinned_vertices(primitive, matrices)
+        self._document.note(f"{self._document.path.name}: skinned meshes stand still in their pose at time 0")
+        mesh = Primitive(
+            positions=positions,
+            normals=normals,
+            texcoord_0=primitive.texcoord,
+            color_0=primitive.color,
+            indices=primitive.indices,
+            material=primitive.material.pbr,
+        )
+        return Part(name, mesh, primitive.material, np.eye(4), positions)
+
+    # --- cameras and lights ---
+
+    def _read_camera(self, node: int, index: int) -> None:
+        camera = self._document.item("cameras", index, "node")
+        if self._content.camera is not None:
+            self._document.note(f"{self._document.path.name}: several cameras, the first in the tree is used")
+            return
+        if camera.get("type") != "perspective" or "perspective" not in camera:
+            self._document.note(f"{self._document.path.name}: an orthographic camera is not used")
+            return
+        yfov = float(camera["perspective"].get("yfov", 0.0))
+        if not 0.0 < yfov < np.pi:
+            raise InputError(problem(self._document.path, f"camera {index} yfov", yfov, "radians between 0 and pi"))
+        animated, below = self._anchor[node]
+        if animated < 0:
+            self._content.camera = StillCamera(rigid(below), yfov, "file")
+        else:
+            self._content.camera = TrackCamera(NodeTrack(self._rig, animated, below), yfov)
+
+    def _read_light(self, node: int, index: int) -> None:
+        lights = self._document.json.get("extensions", {}).get("KHR_lights_punctual", {}).get("lights", [])
+        if not 0 <= index < len(lights):
+            raise InputError(problem(self._document.path, f"node {node} light", index, f"0 to {len(lights) - 1}"))
+        entry = lights[index]
+        kind = entry.get("type")
+        if kind not in ("point", "spot", "directional"):
+            raise InputError(problem(self._document.path, f"light {index} type", kind, "point | spot | directional"))
+        power = float(entry.get("intensity", 1.0))
+        red, green, blue = (power * float(c) for c in entry.get("color", (1.0, 1.0, 1.0)))
+        spot = entry.get("spot", {})
+        animated, below = self._anchor[node]
+        matrix = below if animated < 0 else np.eye(4)
+        self._content.lights.append(
+            Light(
+                kind=kind,
+                intensity=(red, green, blue),
+                position=(float(matrix[0, 3]), float(matrix[1, 3]), float(matrix[2, 3])),
+                direction=tuple(float(c) for c in -_unit3(matrix[:3, 2])),
+                inner_rad=float(spot.get("innerConeAngle", 0.0)),
+                outer_rad=float(spot.get("outerConeAngle", np.pi / 4)),
+                range_m=float(entry.get("range", np.inf)),
+                track=None if animated < 0 else NodeTrack(self._rig, animated, below),
+                name=str(entry.get("name", f"light {index}")),
+            )
+        )
+
+
+def _unit3(vector: np.ndarray) -> np.ndarray:
+    length = np.linalg.norm(vector, axis=-1, keepdims=True)
+    return vector / np.where(length > 0.0, length, 1.0)

@@ -1,0 +1,199 @@
+"""glTF mesh primitives as `Primitive`: triangles from any mode, checked vertices, morph weights, skins at one pose."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from stimuli.errors import InputError, problem
+from stimuli.gltf_buffers import Document
+from stimuli.gltf_materials import MaterialReader, TextureUse
+from stimuli.scene import Material, Primitive
+
+_TRIANGLES, _STRIP, _FAN = 4, 5, 6
+_MODE_NAMES = {0: "points", 1: "lines", 2: "line loops", 3: "line strips"}
+
+
+@dataclass(frozen=True)
+class ReadPrimitive:
+    """One glTF primitive: float64 vertex arrays, triangles (F, 3), its material, and its joints where it is skinned."""
+
+    positions: np.ndarray
+    normals: np.ndarray | None
+    texcoord: np.ndarray | None
+    color: np.ndarray | None
+    indices: np.ndarray
+    material: Material
+    joints: np.ndarray | None = None
+    weights: np.ndarray | None = None
+
+    def as_pyrender(self, mirrored: bool) -> Primitive:
+        """The arrays as pyrender holds them; ``mirrored`` turns the winding round."""
+        return Primitive(
+            positions=self.positions,
+            normals=self.normals,
+            texcoord_0=self.texcoord,
+            color_0=self.color,
+            indices=self.indices[:, ::-1] if mirrored else self.indices,
+            material=self.material.pbr,
+        )
+
+    @property
+    def positions64(self) -> np.ndarray | None:
+        """The float64 positions where float32 would change them, else None."""
+        return None if np.array_equal(self.positions, self.positions.astype(np.float32)) else self.positions
+
+
+def read_primitive(
+    document: Document, materials: MaterialReader, mesh: dict[str, Any], number: int, weights: list[float] | None
+) -> ReadPrimitive | None:
+    """Primitive ``number`` of ``mesh``; None, with a note, for what has no triangles. ``weights`` morph its targets."""
+    entry = mesh["primitives"][number]
+    where = f"{document.path.name}: mesh {mesh.get('name', '?')!r} primitive {number}"
+    attributes = entry.get("attributes", {})
+    mode = entry.get("mode", _TRIANGLES)
+    if mode in _MODE_NAMES:
+        document.note(f"{document.path.name}: {_MODE_NAMES[mode]} are not drawn (they have no surface)")
+        return None
+    if mode not in (_TRIANGLES, _STRIP, _FAN):
+        raise InputError(problem(where, "mode", mode, "0 to 6"))
+    if "POSITION" not in attributes:
+        document.note(f"{where}: has no POSITION; left out")
+        return None
+    positions = _attribute(document, attributes["POSITION"], 3, f"{where}: POSITION")
+    for target, weight in zip(entry.get("targets", []), weights or [], strict=False):
+        if weight and "POSITION" in target:
+            positions = positions + weight * document.array(target["POSITION"])
+    require_finite(positions, f"{document.path}: mesh {mesh.get('name', '?')!r} primitive {number}: POSITION")
+    count = len(positions)
+    indices = document.raw(entry["indices"])[:, 0].astype(np.int64) if "indices" in entry else np.arange(count)
+    if indices.size and int(indices.max()) >= count:
+        raise InputError(problem(where, "vertex index", int(indices.max()), f"below {count}"))
+    faces = triangles_of(indices, mode)
+    if not len(faces):
+        document.note(f"{where}: has no triangles; left out")
+        return None
+    read = materials.read(entry.get("material"))
+    normals = None
+    if "NORMAL" in attributes:
+        normals = _attribute(document, attributes["NORMAL"], 3, f"{where}: NORMAL", count)
+        for target, weight in zip(entry.get("targets", []), weights or [], strict=False):
+            if weight and "NORMAL" in target:
+                normals = normals + weight * document.array(target["NORMAL"])
+        normals, mended = mend_normals(positions, normals, faces)
+        if mended:
+            document.note(f"{where}: {mended} normals of length 0 or nan; their face's normal is used")
+    color = None
+    if "COLOR_0" in attributes:
+        color = document.array(attributes["COLOR_0"])
+        color = np.hstack([color, np.ones((count, 4 - color.shape[1]))])
+    joints, weighting = _skinning(document, attributes, where, count)
+    return ReadPrimitive(
+        positions=positions,
+        normals=normals,
+        texcoord=_texcoord(document, attributes, read.use, where, count),
+        color=color,
+        indices=faces.astype(np.uint32),
+        material=read.material,
+        joints=joints,
+        weights=weighting,
+    )
+
+
+def triangles_of(indices: np.ndarray, mode: int) -> np.ndarray:
+    """(F, 3) triangles from an index list of mode 4 (triangles), 5 (strip) or 6 (fan); a rest of 1 or 2 is dropped."""
+    if mode == _TRIANGLES:
+        return indices[: len(indices) // 3 * 3].reshape(-1, 3)
+    if len(indices) < 3:
+        return np.zeros((0, 3), indices.dtype)
+    if mode == _FAN:
+        return np.stack([indices[1:-1], indices[2:], np.full(len(indices) - 2, indices[0])], axis=1)
+    strip = np.stack([indices[:-2], indices[1:-1], indices[2:]], axis=1)
+    # Every second triangle of a strip is wound the other way round.
+    strip[1::2] = strip[1::2][:, [0, 2, 1]]
+    return strip
+
+
+def require_finite(positions: np.ndarray, where: object) -> None:
+    """InputError, with the first bad vertex, unless every coordinate is a finite number that float32 can hold."""
+    bad = np.flatnonzero(~(np.abs(positions) < np.finfo(np.float32).max).all(axis=1))
+    if bad.size:
+        value = ", ".join(f"{x:g}" for x in positions[bad[0]])
+        raise InputError(
+            problem(where, f"{bad.size} bad vertices, the first is {bad[0]}", f"({value})", "finite numbers")
+        )
+
+
+def mend_normals(positions: np.ndarray, normals: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, int]:
+    """Unit normals (N, 3), and how many had no direction and took that of a face that uses them."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        length = np.linalg.norm(normals, axis=1)
+    bad = ~((length > 0.0) & np.isfinite(length))
+    safe = np.where(bad[:, None], 0.0, normals) / np.where(bad, 1.0, length)[:, None]
+    used = np.zeros(len(positions), bool)
+    used[faces] = True
+    if not (bad & used).any():
+        return np.where(bad[:, None], (0.0, 0.0, 1.0), safe), 0
+    corner = positions[faces]
+    face_normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    area = np.linalg.norm(face_normal, axis=1, keepdims=True)
+    face_normal = np.where(area > 0.0, face_normal / np.where(area > 0.0, area, 1.0), (0.0, 0.0, 1.0))
+    per_vertex = np.tile((0.0, 0.0, 1.0), (len(positions), 1))
+    per_vertex[faces.reshape(-1)] = np.repeat(face_normal, 3, axis=0)
+    return np.where(bad[:, None], per_vertex, safe), int((bad & used).sum())
+
+
+def skinned_vertices(primitive: ReadPrimitive, joint_matrices: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    """World positions (N, 3) and unit normals of a skinned primitive; ``joint_matrices`` (J, 4, 4) = joint world x
+    inverse bind matrix (glTF 2.0, 3.7.3)."""
+    assert primitive.joints is not None
+    assert primitive.weights is not None
+    blend = np.einsum("nj,njab->nab", primitive.weights, joint_matrices[primitive.joints])
+    positions = np.einsum("nab,nb->na", blend[:, :3, :3], primitive.positions) + blend[:, :3, 3]
+    if primitive.normals is None:
+        return positions, None
+    # The cofactor matrix turns normals as the inverse transpose does, and exists where the inverse does not.
+    a, b, c = blend[:, :3, 0], blend[:, :3, 1], blend[:, :3, 2]
+    cofactor = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=2)
+    normals = np.einsum("nab,nb->na", cofactor, primitive.normals)
+    return positions, mend_normals(positions, normals, primitive.indices.astype(np.int64))[0]
+
+
+def _attribute(document: Document, index: int, width: int, where: str, count: int | None = None) -> np.ndarray:
+    values = document.array(index)
+    if values.shape[1] != width or (count is not None and len(values) != count):
+        wanted = f"{'N' if count is None else count} x {width}"
+        raise InputError(problem(where, "shape", f"{values.shape[0]} x {values.shape[1]}", wanted))
+    return values
+
+
+def _texcoord(
+    document: Document, attributes: dict[str, int], use: TextureUse, where: str, count: int
+) -> np.ndarray | None:
+    """The coordinates that the material's textures want, their transform applied."""
+    name = f"TEXCOORD_{use.texcoord}"
+    if name not in attributes:
+        return None
+    uv = _attribute(document, attributes[name], 2, f"{where}: {name}", count)
+    if not np.isfinite(uv).all():
+        document.note(f"{where}: {name} holds nan or inf; 0 is used there")
+        uv = np.nan_to_num(uv, nan=0.0, posinf=0.0, neginf=0.0)
+    return uv @ use.transform[:2, :2].T + use.transform[:2, 2]
+
+
+def _skinning(
+    document: Document, attributes: dict[str, int], where: str, count: int
+) -> tuple[np.ndarray | None, np.ndarray | None]:
+    joints, weights = [], []
+    number = 0
+    while f"JOINTS_{number}" in attributes and f"WEIGHTS_{number}" in attributes:
+        joints.append(document.raw(attributes[f"JOINTS_{number}"]).astype(np.intp))
+        weights.append(_attribute(document, attributes[f"WEIGHTS_{number}"], 4, f"{where}: WEIGHTS_{number}", count))
+        number += 1
+    if not joints:
+        return None, None
+    total = np.hstack(weights)
+    share = total.sum(axis=1, keepdims=True)
+    return np.hstack(joints), np.divide(total, share, out=np.zeros_like(total), where=share > 0.0)
