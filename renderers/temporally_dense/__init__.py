@@ -1,0 +1,1 @@
+"""Temporally dense ray tracing (Andersson et al. 2019)."""
