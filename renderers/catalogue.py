@@ -21,7 +21,8 @@ class Entry:
     """One technique as protocols, the command line and the tradeoff search see it.
 
     ``knobs`` name the parameters that trade speed for accuracy, with the values a sweep tries. ``gaze_contingent``
-    techniques may not stand side by side. ``framed``: full frames at any content rate.
+    techniques may not stand side by side. ``framed``: full frames at any content rate. ``stateless``: a frame follows
+    from its view alone, so a clip may be divided among workers. ``averages``: frames are means of ``spp`` samples.
     """
 
     name: str
@@ -33,6 +34,8 @@ class Entry:
     gaze_contingent: bool = False
     framed: bool = False
     baseline: bool = False
+    stateless: bool = False
+    averages: bool = False
 
 
 _ENTRIES: tuple[Entry, ...] = ()
