@@ -1,0 +1,92 @@
+"""How consistent observers are in paired comparisons: circular triads, and who answers unlike the others."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy import special
+
+from analysis.log_tails import p_chi2
+from analysis.paired_comparison import _compare, _solve
+from analysis.results import OK, UNDEFINED, coded, require_columns, result_table
+
+
+def circular_triads(table: pd.DataFrame, winner: str, loser: str, observer: str) -> pd.DataFrame:
+    """Circular triads (a over b, b over c, c over a) of each observer, by majority over repetitions; one row each.
+
+    ``consistency`` is Kendall & Babington Smith's (1940) zeta where all pairs were judged, 1 - circular / triads judged
+    relative to the most possible; ``p`` that of their chi-square that choices are random (k of 8 items or more; for
+    fewer it is an approximation).
+    """
+    require_columns("circular_triads", table, [winner, loser, observer])
+    person, observers = coded(table, observer)
+    both = pd.DataFrame({"item": pd.concat([table[winner], table[loser]], ignore_index=True).astype(object)})
+    codes, items = coded(both, "item")
+    won, lost = codes[: len(table)], codes[len(table) :]
+    k = len(items)
+    use = (person >= 0) & (won >= 0) & (lost >= 0) & (won != lost)
+    wins = np.zeros((len(observers), k, k))
+    np.add.at(wins, (person[use], won[use], lost[use]), 1.0)
+    beats = wins > wins.transpose(0, 2, 1)
+    most = (k**3 - (4 * k if k % 2 == 0 else k)) / 24
+    rows: list[dict[str, Any]] = []
+    for name, b in zip(observers, beats, strict=True):
+        circular = judged = 0
+        for i, j, l in itertools.combinations(range(k), 3):
+            if (b[i, j] | b[j, i]) and (b[j, l] | b[l, j]) and (b[i, l] | b[l, i]):
+                judged += 1
+                circular += bool((b[i, j] and b[j, l] and b[l, i]) or (b[j, i] and b[l, j] and b[i, l]))
+        row: dict[str, Any] = {"observer": name, "circular": circular, "judged": judged, "items": k}
+        if judged == 0:
+            row |= {"consistency": math.nan, "p": math.nan, "status": UNDEFINED, "note": "no triad was judged whole"}
+        else:
+            row["consistency"] = 1 - circular / most * math.comb(k, 3) / judged
+            row["p"] = _random_choice_p(circular, k) if judged == math.comb(k, 3) and k > 4 else 1.0
+            row["note"] = "" if k > 4 and judged == math.comb(k, 3) else "too few triads to test: p is 1"
+            row["status"] = OK
+        rows.append(row)
+    columns = ["observer", "circular", "judged", "items", "consistency", "p"]
+    method = "Circular triads by observer (Kendall & Babington Smith 1940), majority over repetitions."
+    return result_table(rows, columns, method=method, n_subjects=len(observers))
+
+
+def _random_choice_p(circular: int, k: int) -> float:
+    """P(at most so many circular triads) if choices are random: Kendall's chi-square, upper tail = consistent."""
+    df = k * (k - 1) * (k - 2) / (k - 4) ** 2
+    chi2 = 8 / (k - 4) * (math.comb(k, 3) / 4 - circular + 0.5) + df
+    return p_chi2(max(chi2, 0.0), df)
+
+
+def screen_observers(table: pd.DataFrame, winner: str, loser: str, observer: str) -> pd.DataFrame:
+    """Each observer's mean log-likelihood under the scale of the others; ``flagged`` where it is an outlier.
+
+    The scale is fitted without the observer (Bradley-Terry). A distance above 1.5 interquartile ranges below the lower
+    quartile is flagged (Perez-Ortiz & Mantiuk 2017): a reason to look, not to exclude.
+    """
+    found = _compare("screen_observers", table, winner, loser, None, None, observer, None)
+    counts, names = found.counts, found.observers
+    pairs = found.pairs
+    value = np.full(len(names), math.nan)
+    for i in range(len(names)):
+        rest = counts.sum(axis=0) - counts[i]
+        # Half an answer each way keeps the others' scale finite.
+        smooth = pairs.reweighted(rest[0] + 0.5, rest[1] + 0.5, 0 * rest[2])
+        ability = _solve(type(found)(found.items, smooth, [], counts, {}), "logit", False, False)["ability"]
+        eta = ability[pairs.first] - ability[pairs.second]
+        log_p = special.log_expit(eta) * counts[i, 0] + special.log_expit(-eta) * counts[i, 1]
+        value[i] = log_p.sum() / counts[i].sum()
+    finite = np.isfinite(value)
+    lower, upper = np.quantile(value[finite], [0.25, 0.75]) if finite.any() else (math.nan, math.nan)
+    rows: list[dict[str, Any]] = []
+    for name, v in zip(names, value, strict=True):
+        row: dict[str, Any] = {"observer": name, "mean_log_likelihood": float(v), "flagged": False}
+        row["flagged"] = bool(v < lower - 1.5 * (upper - lower))
+        row |= {"status": OK if math.isfinite(v) else UNDEFINED, "note": "" if math.isfinite(v) else "not comparable"}
+        rows.append(row)
+    method = "Leave-one-out log-likelihood of observers; flagged below the lower quartile by 1.5 interquartile ranges."
+    columns = ["observer", "mean_log_likelihood", "flagged"]
+    return result_table(rows, columns, method=method, n_subjects=len(names), dropped=found.dropped)
