@@ -67,6 +67,9 @@ class Trial:
     text: str = ""
     fixation: str = "free"
     factors: Mapping[str, str] = field(default_factory=dict)
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    """The cascade's result, JSON-ready: size_px, start_s, warm_up_s, lighting, animation, loop, gap_px,
+    interval_gap_s, iti_s, response ('after' | 'during'), replays, feedback, ... (`protocols.conditions.Settings`)."""
 
     def as_dict(self) -> dict[str, Any]:
         """JSON-ready, the form stored in session files."""
@@ -77,7 +80,5 @@ class Trial:
         """The inverse of `as_dict`."""
         known = dict(data)
         known["panels"] = tuple(Panel(**panel) for panel in data["panels"])
-        known["questions"] = tuple(
-            Question(**{**q, "options": tuple(q["options"])}) for q in data["questions"]
-        )
+        known["questions"] = tuple(Question(**{**q, "options": tuple(q["options"])}) for q in data["questions"])
         return Trial(**known)

@@ -1,0 +1,237 @@
+"""YAML file -> Study. Every problem at once, each as ``file:line:column: what: got X, wanted Y``."""
+
+from __future__ import annotations
+
+import difflib
+import json
+import types
+import typing
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, Union, get_args, get_origin
+
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
+
+from protocols.references import reference_problems
+from protocols.study import Study
+from protocols.yaml_source import Mark, Node, read_yaml
+from stimuli.errors import InputError, problem
+
+LIBRARY = Path(__file__).parent / "library"
+MAX_EXTENDS = 4
+Step = str | int
+_PLAIN = {
+    "missing": "a value here", "int_type": "a whole number", "int_from_float": "a whole number",
+    "int_parsing": "a whole number", "float_type": "a number", "string_type": "text", "bool_type": "true or false",
+    "list_type": "a list [...]", "tuple_type": "a list [...]", "dict_type": "keys and values",
+    "model_type": "keys and values", "model_attributes_type": "keys and values", "finite_number": "a finite number",
+}  # fmt: skip
+
+
+def load_study(path: str | Path) -> Study:
+    """The study that the file at ``path`` describes (a bare name such as 'demo' is looked up in the library).
+
+    Raises InputError whose ``problems`` are all that is wrong, sorted by place.
+    """
+    return read_study(path)[0]
+
+
+def read_study(path: str | Path) -> tuple[Study, str]:
+    """`load_study`, and the text of the file (of all files that it extends, first the widest)."""
+    file = library_path(path)
+    root, text = _extended(file, 0, [])
+    written = root.plain()
+    (root.entries or {}).pop("extends", None)
+    problems: dict[tuple[str, int, int, str], str] = {}
+    study = _validated(root, problems)
+    if study is not None:
+        for loc, what, got, wanted in reference_problems(study, written):
+            _note(problems, root.find(loc), what, got, wanted)
+    if problems:
+        raise InputError(*[problems[key] for key in sorted(problems)])
+    assert study is not None
+    return study, text
+
+
+def library_path(path: str | Path) -> Path:
+    """``path``, or the shipped protocol of that name where it has no suffix and no such file exists."""
+    file = Path(path)
+    shipped = LIBRARY / f"{file.name}.yaml"
+    return shipped if not file.suffix and not file.exists() and shipped.exists() else file
+
+
+def _extended(file: Path, depth: int, seen: list[Path]) -> tuple[Node, str]:
+    """The file's root node, laid over the root of what it ``extends``; and the texts."""
+    root = read_yaml(file, str(file))
+    text = file.read_text(encoding="utf-8-sig")
+    entry = (root.entries or {}).get("extends")
+    if entry is None:
+        return root, text
+    key, node = entry
+    if not isinstance(node.scalar, str):
+        raise InputError(problem(node.mark, "extends", "no file name", "a protocol file beside this one"))
+    wide = file.parent / node.scalar
+    if not wide.exists() and "/" not in node.scalar:
+        wide = LIBRARY / node.scalar
+    if depth >= MAX_EXTENDS or wide.resolve() in [*seen, file.resolve()]:
+        raise InputError(problem(key, "extends", node.scalar, f"at most {MAX_EXTENDS} files, none of them twice"))
+    if not wide.is_file():
+        raise InputError(
+            problem(node.mark, "extends", f"{node.scalar!r}, which is not there", "an existing protocol file")
+        )
+    base, base_text = _extended(wide, depth + 1, [*seen, file.resolve()])
+    return _overlay(base, root), base_text + "\n--- # extended by " + file.name + "\n" + text
+
+
+def _overlay(base: Node, over: Node) -> Node:
+    """Mappings are laid over each other key by key, lists of named things (blocks, tests) name by name; all else is
+    replaced; null removes."""
+    if base.entries is not None and over.entries is not None:
+        merged = dict(base.entries)
+        for key, (mark, node) in over.entries.items():
+            if node.entries is None and node.items is None and node.scalar is None:
+                merged.pop(key, None)
+            elif key in merged:
+                merged[key] = (mark, _overlay(merged[key][1], node))
+            else:
+                merged[key] = (mark, node)
+        return Node(over.mark, entries=merged)
+    if base.items and over.items and all(_name_of(node) is not None for node in [*base.items, *over.items]):
+        named = {_name_of(node): node for node in base.items}
+        for node in over.items:
+            name = _name_of(node)
+            named[name] = _overlay(named[name], node) if name in named else node
+        return Node(over.mark, items=list(named.values()))
+    return over
+
+
+def _name_of(node: Node) -> object:
+    return node.entries["name"][1].scalar if node.entries is not None and "name" in node.entries else None
+
+
+def _validated(root: Node, problems: dict[tuple[str, int, int, str], str]) -> Study | None:
+    """Validate; on errors note them, take the faulty parts out of the tree and go on, so that names are checked too."""
+    for _ in range(8):
+        try:
+            return Study.model_validate_json(json.dumps(root.plain()))
+        except ValidationError as error:
+            details = error.errors(include_url=False)
+        for detail in details:
+            _note(problems, *_describe(root, detail))
+        faulty = [_innermost(root, detail["loc"]) for detail in details]
+        if None in faulty:
+            return None
+        for found in faulty:
+            _take_out(*found)  # type: ignore[misc]
+    return None
+
+
+def _note(problems: dict[tuple[str, int, int, str], str], mark: Mark, what: str, got: str, wanted: str) -> None:
+    line = problem(mark, what, got, wanted)
+    problems.setdefault((mark.file, mark.line, mark.column, line), line)
+
+
+def _innermost(root: Node, loc: Sequence[Step]) -> tuple[Node, Step, Node] | None:
+    """(holder, step, part) of the innermost part of the file that ``loc`` leads to."""
+    node = root
+    found: tuple[Node, Step, Node] | None = None
+    for step in loc:
+        if node.entries is not None and step in node.entries:
+            found = (node, step, node.entries[str(step)][1])
+        elif node.items is not None and isinstance(step, int) and step < len(node.items):
+            found = (node, step, node.items[step])
+        node = found[2] if found else node
+    return found
+
+
+def _take_out(holder: Node, step: Step, part: Node) -> None:
+    if holder.entries is not None:
+        holder.entries.pop(str(step), None)
+    elif holder.items is not None:
+        holder.items[:] = [item for item in holder.items if item is not part]
+
+
+def _describe(root: Node, detail: ErrorDetails) -> tuple[Mark, str, str, str]:
+    """(place, what, got, wanted) of one error of pydantic's."""
+    loc, kind, context = detail["loc"], detail["type"], detail.get("ctx", {})
+    steps = _steps(root, loc)
+    what = _dotted(steps) or "study"
+    value = detail.get("input")
+    if kind == "extra_forbidden":
+        names = _fields_at(loc[:-1])
+        return root.find(loc), what, f"unknown key {str(loc[-1])!r}", suggestion(str(loc[-1]), names)
+    if kind == "missing":
+        return root.find(loc[:-1]), f"{what}.{loc[-1]}".removeprefix("study."), "nothing", _PLAIN["missing"]
+    if kind == "protocol":
+        return root.find(loc), what, str(context["got"]), str(context["wanted"])
+    if kind == "literal_error":
+        choices = [c.strip("' ") for c in str(context["expected"]).replace(" or ", ", ").split(",")]
+        return root.find(loc), what, _show(value), suggestion(str(value), choices)
+    wanted = _PLAIN.get(kind) or detail["msg"].removeprefix("Input should be ").removeprefix("Value error, ")
+    wanted = wanted[0].lower() + wanted[1:]
+    if kind == "string_pattern_mismatch":
+        wanted = f"a name like {'my_study' if what == 'study' else 'my_name'} (letters, digits, _)"
+    return root.find(loc), what, _show(value), wanted
+
+
+def suggestion(word: str, choices: Sequence[str]) -> str:
+    """``did you mean 'x'? (a | b | x)``, or the choices alone where none is near."""
+    shown = " | ".join(list(choices)[:30]) + (" | ..." if len(choices) > 30 else "")
+    near = difflib.get_close_matches(word[:64], choices, n=1, cutoff=0.6)
+    return (
+        f"{near[0]!r} (did you mean that?), one of {shown}" if near else f"one of {shown}" if shown else "no key here"
+    )
+
+
+def _show(value: Any) -> str:
+    text = repr(value) if not isinstance(value, (dict, list)) else json.dumps(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _steps(root: Node, loc: Sequence[Step]) -> list[Step]:
+    """The steps of ``loc`` that are keys of the file (pydantic adds names of union members)."""
+    node: Node | None = root
+    steps: list[Step] = []
+    for step in loc:
+        if node is not None and node.entries is not None and step in node.entries:
+            node = node.entries[str(step)][1]
+            steps.append(step)
+        elif node is not None and node.items is not None and isinstance(step, int) and step < len(node.items):
+            node = node.items[step]
+            steps.append(step)
+    return steps
+
+
+def _dotted(steps: Sequence[Step]) -> str:
+    text = ""
+    for step in steps:
+        text += f"[{step}]" if isinstance(step, int) else f".{step}"
+    return text.lstrip(".")
+
+
+def _fields_at(loc: Sequence[Step]) -> list[str]:
+    """Names of the fields that the model at ``loc`` has."""
+    found: list[Any] = [Study]
+    for step in loc:
+        inner: list[Any] = []
+        for kind in found:
+            if isinstance(kind, type) and issubclass(kind, BaseModel):
+                if step in kind.model_fields:
+                    inner += _members(kind.model_fields[str(step)].annotation)
+            else:
+                arguments = get_args(kind)
+                inner += _members(arguments[-1]) if arguments else []
+        found = inner or found
+    models = [kind for kind in found if isinstance(kind, type) and issubclass(kind, BaseModel)]
+    return sorted({name for model in models for name in model.model_fields})
+
+
+def _members(annotation: Any) -> list[Any]:
+    """An annotation without Annotated and Union around it."""
+    origin = get_origin(annotation)
+    if origin is Annotated:
+        return _members(get_args(annotation)[0])
+    if origin in (Union, types.UnionType) or origin is typing.Union:
+        return [inner for member in get_args(annotation) for inner in _members(member)]
+    return [annotation]

@@ -1,0 +1,115 @@
+"""``studyapp check``: every problem of a protocol at once, or what the protocol amounts to."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from collections.abc import Iterator
+from dataclasses import asdict
+from importlib import import_module
+from pathlib import Path
+
+from protocols.check import Summary, size_problems, summarise
+from protocols.load import library_path, load_study
+from protocols.study import Study
+from stimuli.errors import InputError, problem
+from stimuli.procedural import SCENES
+
+HELP = "find every mistake in a protocol, or print its plan in numbers"
+EXAMPLE = "studyapp check demo"
+SCENE_SUFFIXES = (".glb", ".gltf", ".obj", ".ply")
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument("protocol", help="a protocol file, or the name of a shipped one")
+    parser.add_argument("--json", action="store_true", help="the plan as JSON")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Check and print; every problem at once."""
+    study = load_study(args.protocol)
+    problems = [*size_problems(study), *external_problems(study)]
+    notes: list[str] = []
+    for name, scene in study.scenes.items():
+        found = find_scene(scene.scene, library_path(args.protocol).parent)
+        if found is None and scene.instead is None:
+            wanted = "a procedural scene (" + " | ".join(SCENES) + ") or an existing file"
+            problems.append(problem(f"scene {name}", "source", repr(scene.scene), wanted))
+        elif found is None:
+            notes.append(f"scene {name}: {scene.scene} is not there, {scene.instead} stands in")
+    if problems:
+        raise InputError(*problems)
+    summary = summarise(study)
+    if args.json:
+        data = asdict(summary)
+        data["notes"] = [*summary.notes, *notes]
+        print(json.dumps(data, indent=1))
+    else:
+        print("\n".join([*_lines(summary), *(f"note: {note}" for note in [*summary.notes, *notes])]))
+    return 0
+
+
+def find_scene(source: str, beside: Path) -> Path | str | None:
+    """Where a scene comes from: a procedural name as it is; a file beside the protocol, in the current folder or
+    (anywhere below) $STUDYAPP_ASSETS; None where it is nowhere."""
+    if not source.endswith(SCENE_SUFFIXES):
+        return source if source in SCENES else None
+    for folder in (beside, Path.cwd()):
+        if (folder / source).is_file():
+            return folder / source
+    assets = os.environ.get("STUDYAPP_ASSETS")
+    if assets:
+        found = sorted(Path(assets).rglob(Path(source).name))
+        return found[0] if found else None
+    return None
+
+
+def external_problems(study: Study) -> Iterator[str]:
+    """Techniques named ``module:Class`` that cannot be imported, or whose parameters are refused by their own model."""
+    for name, condition in study.conditions.items():
+        if not condition.external or condition.technique.startswith("imported:"):
+            continue
+        module, _, attribute = condition.technique.partition(":")
+        try:
+            technique = getattr(import_module(module), attribute)
+        except (ImportError, AttributeError) as error:
+            said = str(error) or type(error).__name__
+            yield problem(
+                f"condition {name}", "technique", repr(condition.technique), f"an importable module:Class ({said})"
+            )
+            continue
+        try:
+            technique.Params.model_validate(condition.params)
+        except (ValueError, AttributeError) as error:
+            yield problem(
+                f"condition {name}", "params", json.dumps(condition.params), " ".join(str(error).split())[:200]
+            )
+
+
+def _lines(summary: Summary) -> Iterator[str]:
+    live = sum(spec.live for spec in summary.clips)
+    head = f"{summary.study}: {summary.participants} participants, {summary.trials} trials each"
+    yield f"{head}, {summary.minutes:.0f} min"
+    for block in summary.blocks:
+        extra = [f"{n} {what}" for n, what in ((block.practice, "practice"), (block.catch, "catch")) if n]
+        counted = f"{block.trials} trials" + (f" + {' + '.join(extra)}" if extra else "")
+        yield f"  block {block.name} ({block.kind}): {counted}, {block.minutes:.1f} min"
+        for what, (least, most) in block.balance.items():
+            said = f"{least} each" if least == most else f"{least} to {most}"
+            yield f"    {what.replace('_', ' ')}: {said}"
+    yield f"clips: {len(summary.clips) - live} to render ({summary.frames} frames), {live} live"
+    yield (
+        f"disk: at most {_size(summary.store_bytes)} in the store, {_size(summary.play_bytes)} in the play cache; "
+        f"largest trial {_size(summary.largest_trial_bytes)}"
+    )
+    yield f"upload: at most {_size(summary.upload_bytes)} a refresh"
+
+
+def _size(count: int) -> str:
+    for unit in ("B", "KB", "MB"):
+        if count < 1000:
+            return f"{count:.3g} {unit}"
+        count = count / 1000  # type: ignore[assignment]
+    return f"{count:.3g} GB"
