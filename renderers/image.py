@@ -92,3 +92,54 @@ def longest(candidates: list[tuple[Any, Any, Any]]) -> tuple[Any, Any]:
             dr.select(better, squared, best),
         )
     return best_x, best_y
+
+
+def catmull_rom(picture: Any, x_px: Any, y_px: Any, width: int, height: int, active: Any = True) -> Any:
+    """`mi.Color3f` at continuous (x, y) by the separable Catmull-Rom cubic over 4x4 pixels, clamped to the edge.
+
+    The same weights as the usual nine bilinear taps; the result may overshoot the pixels' range.
+    """
+    gx, gy = x_px - 0.5, y_px - 0.5
+    x0, y0 = dr.floor(gx), dr.floor(gy)
+    columns, rows = _cubic_weights(gx - x0), _cubic_weights(gy - y0)
+    total = mi.Color3f(0)
+    for j in range(4):
+        row = mi.UInt32(dr.clip(y0 + (j - 1), 0, height - 1)) * width
+        line = mi.Color3f(0)
+        for i in range(4):
+            column = mi.UInt32(dr.clip(x0 + (i - 1), 0, width - 1))
+            line = dr.fma(rgb(fetch(picture, row + column, active)), columns[i], line)
+        total = dr.fma(line, rows[j], total)
+    return total
+
+
+def _cubic_weights(f: Any) -> tuple[Any, Any, Any, Any]:
+    """Catmull-Rom weights of the four pixels around a fraction f in [0, 1)."""
+    f2, f3 = f * f, f * f * f
+    return (
+        -0.5 * f3 + f2 - 0.5 * f,
+        1.5 * f3 - 2.5 * f2 + 1.0,
+        -1.5 * f3 + 2.0 * f2 + 0.5 * f,
+        0.5 * f3 - 0.5 * f2,
+    )
+
+
+def neighbours(picture: Any, x: Any, y: Any, width: int, height: int) -> list[Any]:
+    """The colours of the 3x3 pixels around integer (x, y), row by row (the fifth is the centre), edges clamped."""
+    found = []
+    for oy in (-1, 0, 1):
+        row = mi.UInt32(dr.clip(y + oy, 0, height - 1)) * width
+        found += [rgb(fetch(picture, row + mi.UInt32(dr.clip(x + ox, 0, width - 1)))) for ox in (-1, 0, 1)]
+    return found
+
+
+def longest_of_3x3(motion: Any, x: Any, y: Any, width: int, height: int) -> tuple[Any, Any]:
+    """The longest motion vector (flat x, y pairs, one a pixel) of the 3x3 pixels around integer (x, y)."""
+    candidates = []
+    for oy in (0, -1, 1):
+        for ox in (0, -1, 1):
+            inside = (x + ox >= 0) & (x + ox < width) & (y + oy >= 0) & (y + oy < height)
+            index = mi.UInt32(dr.clip(y + oy, 0, height - 1) * width + dr.clip(x + ox, 0, width - 1))
+            vector = dr.gather(mi.Vector2f, motion, index)
+            candidates.append((vector.x, vector.y, inside))
+    return longest(candidates)

@@ -2,10 +2,60 @@
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field
 
 
 class Parameters(BaseModel):
     """Base of all parameter models: unknown names are errors, values do not change."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class TemporallyDense(Parameters):
+    """Andersson et al. 2019. ``order`` is each tile's pixel order; ``decision`` the function of Fig. 10 behind
+    'adaptive'; ``neighbourhood`` the box an old pixel is clamped to (Fig. 7; the first is the paper's choice).
+
+    ``box_sigmas`` and ``least_sigma`` (display-linear) shape that box; ``reproject`` False leaves the bare 2x2 mosaic.
+    """
+
+    order: Literal["adaptive", "hourglass", "bowtie", "random", "dominant"] = "adaptive"
+    decision: Literal["combined", "up", "down", "dominant"] = "combined"
+    neighbourhood: Literal["recent_immediate", "recent_3x3", "all_immediate"] = "recent_immediate"
+    reproject: bool = True
+    reflected_motion: bool = True
+    box_sigmas: float = Field(1.0, ge=0, le=8)
+    least_sigma: float = Field(0.0, ge=0, le=1)
+
+
+class TemporalAntialiasing(Parameters):
+    """``form`` 'longest': longest motion of 3x3, variance box, YCoCg, anti-flicker (as Falcor); 'karis': Halton jitter,
+    mean of min/max boxes, clip towards the centre, luminance weights (Karis 2014). ``alpha``: the new sample's weight."""
+
+    form: Literal["longest", "karis"] = "longest"
+    alpha: float = Field(0.1, gt=0, le=1)
+    box_sigmas: float = Field(1.0, ge=0, le=8)
+    reflected_motion: bool = True
+    delay_frames: int = Field(0, ge=0, le=8)
+
+
+class Checkerboard(Parameters):
+    """Half of the pixels a frame, in alternating checkerboards; the others reprojected or interpolated."""
+
+    reflected_motion: bool = True
+    box_sigmas: float = Field(1.0, ge=0, le=8)
+
+
+class FramedLowResolution(Parameters):
+    """Every refresh at ``samples_per_s`` primary rays a second (rounded down to whole pixels), enlarged bilinearly."""
+
+    samples_per_s: float = Field(3.3e6, gt=0)
+    delay_frames: int = Field(0, ge=0, le=8)
+
+
+class FramedLowRate(Parameters):
+    """Full resolution as often as ``samples_per_s`` allows; the last whole frame is held between."""
+
+    samples_per_s: float = Field(3.3e6, gt=0)
+    delay_frames: int = Field(0, ge=0, le=8)
