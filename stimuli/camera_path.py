@@ -47,6 +47,21 @@ class KeyedCamera:
     closed: bool = False
     interpolation: Interpolation = "spline"
 
+    @classmethod
+    def looking(
+        cls,
+        times_s: np.ndarray,
+        eyes: np.ndarray,
+        aims: np.ndarray,
+        yfov_rad: float,
+        name: str = "keyed",
+        closed: bool = False,
+    ) -> KeyedCamera:
+        """Keys from where the camera stands (K, 3) and what it looks at (K, 3), +y up."""
+        up = np.array([0.0, 1.0, 0.0])
+        turns = np.stack([look_at(eye, aim, up)[:3, :3] for eye, aim in zip(eyes, aims, strict=True)])
+        return cls(times_s, eyes, Rotation.from_matrix(turns).as_quat(), yfov_rad, name, closed)
+
     @cached_property
     def _aligned(self) -> np.ndarray:
         """Quaternions with signs such that neighbours lie on the same side."""

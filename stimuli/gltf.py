@@ -321,12 +321,13 @@ class _Reader:
         spot = entry.get("spot", {})
         animated, below = self._anchor[node]
         matrix = below if animated < 0 else np.eye(4)
+        facing = -_unit3(matrix[:3, 2])
         self._content.lights.append(
             Light(
                 kind=kind,
                 intensity=(red, green, blue),
                 position=(float(matrix[0, 3]), float(matrix[1, 3]), float(matrix[2, 3])),
-                direction=tuple(float(c) for c in -_unit3(matrix[:3, 2])),
+                direction=(float(facing[0]), float(facing[1]), float(facing[2])),
                 inner_rad=float(spot.get("innerConeAngle", 0.0)),
                 outer_rad=float(spot.get("outerConeAngle", np.pi / 4)),
                 range_m=float(entry.get("range", np.inf)),

@@ -36,8 +36,8 @@ def read_light_files(scene_file: Path, node: NodeLookup) -> LightFiles:
 
     ``_scene.json``: point lights that do not fall off with distance (``pos``, ``color``, ``anim`` = the node that
     carries the light, ``pos`` then being in its space), ``ambient``, ``background``, ``view``. ``_lights.json``:
-    ``sphere`` (center, radius, radiance), ``area`` (four vertices, one-sided along normal, radiance), ``sunsky`` (its
-    sun as a directional light, a constant sky), ``envmap`` without its picture = constant 1; others are named and left out.
+    ``sphere`` (center, radius, radiance), ``area`` (4 vertices, one-sided along normal, radiance), ``sunsky`` (its
+    sun as a directional light, a constant sky), ``envmap`` without its picture = constant 1; others are left out, said aloud.
     """
     result = LightFiles()
     for ending, read in (("_scene.json", _read_bart), ("_lights.json", _read_lights)):
@@ -56,7 +56,7 @@ def read_light_files(scene_file: Path, node: NodeLookup) -> LightFiles:
 
 
 def look_at(eye: np.ndarray, target: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """(4, 4) camera-to-world at ``eye``, looking at ``target``; another up is taken where ``up`` is parallel to that."""
+    """(4, 4) camera-to-world at ``eye``, looking at ``target``; where ``up`` is parallel to that another is taken."""
     back = np.asarray(eye, np.float64) - np.asarray(target, np.float64)
     length = np.linalg.norm(back)
     back = back / length if length > 0.0 else np.array([0.0, 0.0, 1.0])

@@ -33,7 +33,7 @@ def read_mesh(path: Path) -> MeshContent:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            loaded = trimesh.load(path, process=False, force="scene")
+            loaded: Any = trimesh.load(path, process=False, force="scene")
     except (ValueError, KeyError, IndexError, TypeError, AttributeError, NotImplementedError, OSError) as error:
         raise InputError(problem(path, "broken mesh", _line(error), f"a {path.suffix[1:].upper()} file")) from error
     content = MeshContent()

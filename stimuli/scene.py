@@ -41,8 +41,15 @@ class StillTrack:
 class CameraPath(Protocol):
     """A camera over time: camera-to-world poses (it looks down its own -z, +y up) and a vertical field of view."""
 
-    yfov_rad: float
-    name: str
+    @property
+    def yfov_rad(self) -> float:
+        """Vertical field of view."""
+        ...
+
+    @property
+    def name(self) -> str:
+        """What the path is called."""
+        ...
 
     def pose(self, time_s: np.ndarray) -> np.ndarray:
         """(T,) float64 scene seconds -> (T, 4, 4) float64 camera-to-world matrices, rigid."""

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from stimuli.scene import Scene
 
-_NAMES = ("tunnel_geom",)
+_NAMES = ("tunnel_geom", "tunnel_maps", "toy_car", "bar")
 
 
 def _builder(name: str) -> Callable[[], Scene]:

@@ -222,11 +222,11 @@ def matte(
     return Material(name=name, pbr=pbr, transmission=transmission)
 
 
-def part(name: str, mesh: Mesh, material: Material, matrix: np.ndarray | None = None) -> Part:
-    """A `Part` of ``mesh``; texture coordinates are kept only where the material has a texture."""
+def part(name: str, mesh: Mesh, material: Material, matrix: np.ndarray | None = None, flat: bool = False) -> Part:
+    """A `Part` of ``mesh``; texture coordinates are kept only where the material has a texture; ``flat``: no normals."""
     primitive = Primitive(
         positions=mesh.positions,
-        normals=mesh.normals,
+        normals=None if flat else mesh.normals,
         texcoord_0=mesh.uv if material.pbr.baseColorTexture is not None else None,
         indices=mesh.indices.astype(np.uint32),
         material=material.pbr,
