@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from fractions import Fraction
+from typing import Any
 
 import moderngl
 import numpy as np
@@ -19,16 +20,20 @@ from studyapp.seams import Flip, StampClass
 SPIN_NS = 400_000
 """Spun instead of slept at the end of a wait: what Linux's timer slack and wake-up take in the worst usual case."""
 
+_BACKEND: dict[str, Any] = {"backend": "egl"}
+
 
 class OffscreenDisplay:
     """See the module. ``size_px`` (width, height) in [1, 16384]; ``rate_hz`` in [20, 1000]."""
 
     stamp_class: StampClass = "timer"
+    stamp_source = "timer grid, clock"
+    counts_refreshes = True
 
     def __init__(self, size_px: tuple[int, int] = (1920, 1080), rate_hz: Fraction | int = 240) -> None:
         self.size_px = size_px
         self.nominal_hz = Fraction(rate_hz)
-        self._gl = moderngl.create_context(standalone=True, backend="egl", require=330)
+        self._gl = moderngl.create_context(standalone=True, require=330, **_BACKEND)
         self.renderer = str(self._gl.info["GL_RENDERER"])
         self.description = (
             f"off-screen buffer, {size_px[0]}x{size_px[1]}, timer at {float(self.nominal_hz):g} Hz, {self.renderer}"

@@ -96,7 +96,7 @@ def grid_time_ns(start_ns: int, index: int, rate_hz: Fraction) -> int:
 
 
 def wait_until(target_ns: int, now_ns: Callable[[], int], sleep: Callable[[float], None], spin_ns: int) -> int:
-    """Hybrid wait: sleep until ``spin_ns`` before the target, then read the clock until it is there; returns the time."""
+    """Hybrid wait: sleep until ``spin_ns`` before the target, then read the clock; returns the time."""
     now = now_ns()
     while target_ns - now > spin_ns:
         sleep((target_ns - now - spin_ns) * 1e-9)

@@ -99,7 +99,7 @@ class Stage:
 
 @contextmanager
 def undisturbed() -> Iterator[None]:
-    """Garbage collected beforehand, then off; the interpreter's switch interval short, should a library run a thread."""
+    """Garbage collected beforehand, then off; the switch interval short, should a library run a thread."""
     was_on, interval = gc.isenabled(), sys.getswitchinterval()
     gc.collect()
     gc.freeze()

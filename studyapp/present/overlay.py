@@ -224,7 +224,7 @@ def paint_question(question: Question, display_px: tuple[int, int], geometry: Vi
     key_of = {answer: key for key, answer in question.keys.items()}
     if question.kind == "likert":
         answers = [str(value) for value in range(question.low, question.high + 1)]
-        if not list(question.keys.values()) == answers and list(question.keys.values()) == answers[::-1]:
+        if list(question.keys.values()) != answers and list(question.keys.values()) == answers[::-1]:
             answers = answers[::-1]  # the scale's direction is counterbalanced with its keys
     else:
         answers = list(question.options) or list(question.keys.values())

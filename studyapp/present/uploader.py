@@ -141,8 +141,11 @@ class PanelTexture:
 
     def release(self) -> None:
         """Give textures, buffers and vertices back."""
-        for thing in (self._vertices, self._buffer, *self._textures, *self._ring):
+        self._vertices.release()
+        for thing in (self._buffer, *self._ring):
             thing.release()
+        for texture in self._textures:
+            texture.release()
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,178 @@
+"""The lab file: what belongs to a room. Display, what the system cannot tell of it, photometry, devices, ports.
+
+YAML; unknown keys are errors at file:line:column. A protocol runs unchanged in another lab; both are hashed into the
+session. Found as ``--lab FILE``, else ``$STUDYAPP_LAB``, else ``lab.yaml`` in the given folder; with none of them the
+room is undeclared, and the certificate says so.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from datetime import date
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import Field, ValidationError
+
+from protocols.quantity import Model, Name, Positive, Rate, Size
+from protocols.yaml_source import read_yaml
+from renderers.technique import ViewGeometry
+from stimuli.errors import InputError, problem
+
+DisplayKind = Literal["glfw", "offscreen", "virtual"]
+
+
+class Declared(Model):
+    """What the system does not tell about a display; free words ('8 bit + FRC', 'off', 'fast')."""
+
+    bit_depth: str | None = None
+    dithering: str | None = None
+    scaling: str | None = None
+    vrr: str | None = None
+    strobing: str | None = None
+    overdrive: str | None = None
+
+
+class LabDisplay(Model):
+    """The room's display and where the observer sits. ``monitor``: number for fullscreen, absent: a window."""
+
+    kind: DisplayKind = "glfw"
+    monitor: int | None = Field(default=None, ge=0, le=15)
+    size_px: Size = (1280, 720)
+    rate_hz: Rate = "240"
+    width_m: Positive = 0.5313
+    height_m: Positive = 0.2989
+    distance_m: Positive = 0.6
+    settings: Declared = Declared()
+
+    @property
+    def declared(self) -> dict[str, str]:
+        """The settings that were declared."""
+        return {name: value for name, value in self.settings.model_dump().items() if value is not None}
+
+    @property
+    def geometry(self) -> ViewGeometry:
+        """The screen as the observer sees it."""
+        return ViewGeometry(self.width_m, self.height_m, self.distance_m)
+
+
+class LabPhotometry(Model):
+    """Where the measured luminance stands (a file written by ``studyapp display --photometry``) and its age limit."""
+
+    file: str
+    max_age_days: Positive = 90.0
+
+
+class LabDevice(Model):
+    """One device: ``kind`` and ``port`` as `studyapp.devices` names them; ``keys``: device key -> protocol key."""
+
+    name: Name
+    kind: str
+    port: str = ""
+    options: dict[str, str | int | float | bool] = Field(default_factory=dict)
+    keys: dict[str, str] = Field(default_factory=dict)
+
+
+class LabSensor(Model):
+    """The photodiode on the light patch."""
+
+    port: str
+    patch_corner: Literal["upper_left", "upper_right", "lower_left", "lower_right"] = "lower_left"
+
+
+class LabModel(Model):
+    """The lab file's keys."""
+
+    name: str = "undeclared"
+    display: LabDisplay = LabDisplay()
+    photometry: LabPhotometry | None = None
+    sensor: LabSensor | None = None
+    devices: tuple[LabDevice, ...] = ()
+
+
+class Lab(LabModel):
+    """A lab as read: its text and hash go into every session's header. ``path`` None: no file, all defaults."""
+
+    path: Path | None = None
+    text: str = ""
+
+    @property
+    def sha256(self) -> str:
+        """Hash of the file's text."""
+        return hashlib.sha256(self.text.encode()).hexdigest()
+
+    def photometry_record(self) -> dict[str, Any] | None:
+        """The measured luminance that the lab file names; None where it names none. InputError: unreadable."""
+        if self.photometry is None:
+            return None
+        file = Path(self.photometry.file)
+        if self.path is not None and not file.is_absolute():
+            file = self.path.parent / file
+        try:
+            record = json.loads(file.read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            raise InputError(
+                problem(self.path, "photometry.file", f"{file.name}, which is not there", "a file")
+            ) from None
+        except (json.JSONDecodeError, UnicodeDecodeError):
+            raise InputError(
+                problem(file, "photometry", "no JSON", "a file of studyapp display --photometry")
+            ) from None
+        if not isinstance(record, dict) or not {"date", "codes", "luminance_cd_m2"} <= record.keys():
+            wanted = "keys date, codes, luminance_cd_m2"
+            raise InputError(problem(file, "photometry", "another kind of file", wanted))
+        return record
+
+    def encoding_name(self) -> str:
+        """How code becomes luminance: 'measured table (sha256 ...)' or 'sRGB (assumed)'."""
+        record = self.photometry_record()
+        if record is None:
+            return "sRGB (assumed)"
+        digest = hashlib.sha256(json.dumps(record["luminance_cd_m2"]).encode()).hexdigest()
+        return f"measured table (sha256 {digest[:12]})"
+
+
+def find_lab(named: str | Path | None, folder: Path) -> Lab:
+    """The lab file by its rule (see the module). InputError where a named one is not there."""
+    chosen = named or os.environ.get("STUDYAPP_LAB")
+    if chosen:
+        return load_lab(Path(chosen))
+    beside = folder / "lab.yaml"
+    return load_lab(beside) if beside.is_file() else Lab()
+
+
+def load_lab(path: Path) -> Lab:
+    """Read and check one lab file; all problems at once."""
+    if not path.is_file():
+        raise InputError(problem(path, "lab file", "nothing there", "a lab file"))
+    root = read_yaml(path)
+    try:
+        model = LabModel.model_validate_json(json.dumps(root.plain()))
+    except ValidationError as error:
+        lines = []
+        for detail in error.errors(include_url=False):
+            steps = detail["loc"]
+            what = ".".join(str(step) for step in steps) or "lab"
+            unknown = detail["type"] == "extra_forbidden"
+            context = detail.get("ctx", {})
+            got = (
+                f"unknown key {str(steps[-1])!r}"
+                if unknown
+                else str(context.get("got", repr(detail.get("input"))[:60]))
+            )
+            wanted = "no such key here" if unknown else str(context.get("wanted", detail["msg"]))
+            lines.append(problem(root.find(steps), what, got, wanted[0].lower() + wanted[1:]))
+        raise InputError(*lines) from None
+    return Lab(path=path.resolve(), text=path.read_text(encoding="utf-8"), **model.model_dump())
+
+
+def photometry_age_warning(record: dict[str, Any] | None, max_age_days: float, today: date) -> str | None:
+    """A warning where the display was measured too long ago, or never; None where all is well."""
+    if record is None:
+        return "luminance was never measured (studyapp display --photometry)"
+    age = (today - date.fromisoformat(str(record["date"])[:10])).days
+    if age > max_age_days:
+        return f"luminance was measured {age} days ago, the limit is {max_age_days:g}"
+    return None
