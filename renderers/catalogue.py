@@ -38,7 +38,30 @@ class Entry:
     averages: bool = False
 
 
-_ENTRIES: tuple[Entry, ...] = ()
+_ENTRIES: tuple[Entry, ...] = (
+    Entry(
+        name="reference",
+        summary="the gold standard: many samples a pixel, no delay",
+        params=p.Reference,
+        module="renderers.reference",
+        class_name="ReferenceRenderer",
+        knobs={"spp": (1, 2, 4, 8, 16, 32, 64, 256)},
+        framed=True,
+        stateless=True,
+        averages=True,
+    ),
+    Entry(
+        name="vanilla",
+        summary="one sample at each pixel's centre, every refresh",
+        params=p.Vanilla,
+        module="renderers.vanilla",
+        class_name="Vanilla",
+        knobs={},
+        framed=True,
+        baseline=True,
+        stateless=True,
+    ),
+)
 CATALOGUE: Mapping[str, Entry] = {entry.name: entry for entry in _ENTRIES}
 
 

@@ -13,6 +13,20 @@ class Parameters(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
+class Reference(Parameters):
+    """The gold standard: ``spp`` samples a pixel, averaged linearly before any tone curve; zero delay."""
+
+    spp: int = Field(64, ge=1, le=65536)
+
+
+class Vanilla(Parameters):
+    """One sample at each pixel's centre. ``light_samples``: shadow rays for each light with an area, a square number;
+    ``delay_frames``: the picture is of so many refreshes ago (double buffering)."""
+
+    light_samples: Literal[1, 4, 9, 16, 25, 36, 49, 64, 81, 100, 144, 256] = 1
+    delay_frames: int = Field(0, ge=0, le=8)
+
+
 class TemporallyDense(Parameters):
     """Andersson et al. 2019. ``order`` is each tile's pixel order; ``decision`` the function of Fig. 10 behind
     'adaptive'; ``neighbourhood`` the box an old pixel is clamped to (Fig. 7; the first is the paper's choice).

@@ -1,0 +1,486 @@
+"""The ray engine: one scene, ready to be traced and shaded, for every technique.
+
+A technique makes a state on the host (`Engine.state`), hands it to its frozen kernel, and in the kernel asks for camera
+rays and samples. Everything inside kernels is in tracer space (`Engine.space`), times are float32 seconds relative to
+the view's t1 (0.0, a Python number, means t1 itself and makes a leaner kernel); ``Sample.z`` is in world units.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from renderers.backend import dr, mi
+from renderers.camera import CameraState, Ray, camera_state, forward_axis, primary_ray, project
+from renderers.lights import LightArrays, light_arrays, sorted_lights
+from renderers.materials import MaterialArrays, look_at_hit, material_arrays, opacity
+from renderers.motion import background_motion, reflected_motion, surface_motion
+from renderers.poses import Poses, knot_times, pose_at
+from renderers.requirements import requirements_of
+from renderers.rng import combined
+from renderers.shading import ambient_occlusion, direct_light, mirror_weight, start_point
+from renderers.surface import Surface, surface_at
+from renderers.technique import View
+from renderers.tracer import RawHit, SceneArrays, Tracer
+from stimuli.errors import InputError, problem
+from stimuli.scene import Scene
+
+Lighting = Literal["direct", "ambient_occlusion", "probes"]
+LARGEST = 65504.0
+"""The largest half-float: shading ends with a clamp to it."""
+MIRROR_DEPTH = 3
+_MOST_STEPS = 48  # mirrors and see-through layers along one primary ray
+_MOST_CUTOUTS = 64
+_FILE_AO_RADIUS = 0.05  # of the bounding radius
+
+
+@dataclass
+class EngineState:
+    """A PyTree: everything on the device that one view's kernels read."""
+
+    arrays: SceneArrays
+    materials: MaterialArrays
+    poses: Poses
+    camera: CameraState
+    lights: LightArrays
+    ambient: Any
+    background: Any
+    ao_radius: Any
+    to_world: Any
+
+
+@dataclass
+class Sample:
+    """A PyTree: what one ray saw. ``color`` = ``surface`` + ``albedo`` * ``light`` where nothing was clamped.
+
+    ``color``: Color3f linear in [0, 65504]; ``light``: what came from sampled lights or ambient occlusion (the noisy
+    part). ``hit``: Bool; ``t`` (tracer units, inf: none), ``z``: depth along the camera's axis, world units.
+    ``point``, ``normal``, ``normal_geometric``: tracer space, at the ray's time; ``point_local`` in the own space of
+    ``mover`` (0: static). ``motion``: Vector2f px (0 unless asked for). ``clamped``: UInt32. ``rays``: UInt32 a kind.
+    ``mirrored``: the picture here is mostly a reflection; ``mirror_local``, ``mirror_mover``: the reflected hit.
+    """
+
+    color: Any
+    hit: Any
+    t: Any
+    z: Any
+    point: Any
+    point_local: Any
+    mover: Any
+    normal: Any
+    normal_geometric: Any
+    albedo: Any
+    light: Any
+    surface: Any
+    material: Any
+    motion: Any
+    clamped: Any
+    mirrored: Any
+    mirror_local: Any
+    mirror_mover: Any
+    direction: Any
+    rays: dict[str, Any]
+
+
+@dataclass
+class _Shaded:
+    """One hit: own light (``surface`` + ``albedo`` * ``light``), and how rays go on from it."""
+
+    surface: Any
+    albedo: Any
+    light: Any
+    mirror: Any
+    behind: Any
+    shadow: Any
+    ambient_occlusion: Any
+
+
+class Engine:
+    """A scene ready to be traced. Build it once for a clip or a session.
+
+    ``lighting``: 'direct' (Whitted), 'ambient_occlusion' (base colour times open sky, no lights), 'probes' (direct plus
+    ``indirect``, set by whoever owns the probes). ``sphere_lights``: 'point' or 'sampled'. ``ao_radius``: world units;
+    None: 0.05 of the bounding radius. Raises InputError for unknown settings and meshes that are not finite.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        *,
+        device: str = "auto",
+        lighting: Lighting = "direct",
+        sphere_lights: Literal["point", "sampled"] = "point",
+        ao_samples: int = 16,
+        ao_radius: float | None = None,
+    ) -> None:
+        if lighting not in ("direct", "ambient_occlusion", "probes"):
+            raise InputError(
+                problem("lighting", "unknown lighting", repr(lighting), "direct | ambient_occlusion | probes")
+            )
+        if sphere_lights not in ("point", "sampled"):
+            raise InputError(problem("sphere_lights", "unknown setting", repr(sphere_lights), "point | sampled"))
+        if ao_samples < 1:
+            raise InputError(problem("ao_samples", "ambient occlusion rays", ao_samples, "at least 1"))
+        if ao_radius is not None and not ao_radius > 0:
+            raise InputError(problem("ao_radius", "ambient occlusion radius", ao_radius, "more than 0"))
+        self.scene = scene
+        self.lighting = lighting
+        self.tracer = Tracer(scene, device)
+        self.space = self.tracer.space
+        self.requirements = requirements_of(scene, sphere_lights == "sampled")
+        self.ao_samples = ao_samples
+        self.ao_radius = _FILE_AO_RADIUS * self.space.radius if ao_radius is None else ao_radius
+        self.indirect: Any = None
+        self._lights, self._light_groups = sorted_lights(scene, sphere_lights == "sampled")
+        self._lights_move = any(light.track is not None for light in scene.lights)
+        self._materials = material_arrays(self.tracer.materials)
+        self._constants: tuple[Any, ...] | None = None
+
+    @property
+    def follows_rays(self) -> bool:
+        """Whether rays go on from some surface (mirrors, see-through)."""
+        mirrors = self.requirements.mirrors and self.lighting != "ambient_occlusion"
+        return mirrors or self.requirements.transparency
+
+    def state(self, view: View, size_px: tuple[int, int] | None = None) -> EngineState:
+        """The state of ``view`` for a picture of ``size_px`` (default: the view's), evaluated in float64 on the host.
+
+        With more than 4 movers a state's boxes belong to the latest call: use a state before making the next.
+        """
+        times_s = knot_times(view.t0, view.t1)
+        if self._constants is None:
+            to_float = [
+                mi.Color3f(*(mi.Float([float(v)]) for v in rgb)) for rgb in (self.scene.ambient, self.scene.background)
+            ]
+            self._constants = (
+                *to_float,
+                mi.Float([self.ao_radius * self.space.scale]),
+                mi.Float([1 / self.space.scale]),
+            )
+        poses = self.tracer.poses(times_s)
+        return EngineState(
+            arrays=self.tracer.arrays,
+            materials=self._materials,
+            poses=poses,
+            camera=camera_state(view.camera, self.space, times_s, view.size_px if size_px is None else size_px),
+            lights=light_arrays(self._lights, self._light_groups, self.space, float(view.t0), float(view.t1)),
+            ambient=self._constants[0],
+            background=self._constants[1],
+            ao_radius=self._constants[2],
+            to_world=self._constants[3],
+        )
+
+    # Called inside kernels ------------------------------------------------------------------------------------------
+
+    def camera_ray(self, state: EngineState, x_px: Any, y_px: Any, time_s: Any = 0.0) -> Ray:
+        """The ray through the picture point (x, y), pixel centres at .5, at ``time_s``; it carries its cone."""
+        return primary_ray(state.camera, x_px, y_px, time_s)
+
+    def visible(self, state: EngineState, point_a: Any, point_b: Any, time_s: Any, active: Any = True) -> Any:
+        """Whether nothing that casts shadows lies between two tracer-space points (both ends kept clear by 3e-5)."""
+        away = mi.Vector3f(point_b - point_a)
+        length = dr.norm(away)
+        gap = 3e-5 * dr.maximum(1, dr.maximum(dr.max(dr.abs(point_a)), dr.max(dr.abs(point_b))))
+        d = away * dr.rcp(dr.maximum(length, 1e-20))
+        far = length > 2 * gap
+        blocked = self.tracer.occluded(
+            state.arrays, state.poses, mi.Point3f(point_a + d * gap), d, time_s, mi.Bool(active) & far, length - 2 * gap
+        )
+        return ~blocked
+
+    def to_world(self, state: EngineState, mover: Any, point_local: Any, time_s: Any) -> Any:
+        """Where a point of a mover's own space is (tracer space) at ``time_s``."""
+        if not self.tracer.bodies:
+            return mi.Point3f(point_local)
+        return pose_at(state.poses, mover, time_s).point(point_local)
+
+    def project(self, state: EngineState, point: Any, time_s: Any = 0.0) -> tuple[Any, Any, Any]:
+        """Tracer point -> (x_px, y_px, depth in world units; not positive: behind the eye)."""
+        x, y, depth = project(state.camera, point, time_s)
+        return x, y, depth * state.to_world
+
+    def motion(self, state: EngineState, sample: Sample, reflected: bool = True) -> Any:
+        """Motion (Vector2f, px over the interval t0 -> t1, now - before, y down) of what ``sample`` shows at t1.
+
+        ``reflected``: where a mirror makes up most of the picture, the motion of what it shows (needs a sample made
+        with ``want_motion``). The background moves with the camera's turning.
+        """
+        found = surface_motion(state.camera, state.poses, sample.mover, sample.point_local, sample.hit)
+        found = dr.select(sample.hit, found, background_motion(state.camera, sample.direction))
+        if not (reflected and self.requirements.mirrors and self.follows_rays):
+            return found
+        pose = pose_at(state.poses, sample.mover, 0.0)
+        normal_local = mi.Vector3f(pose.inverse().normal(sample.normal_geometric))
+        mirrored = reflected_motion(
+            state.camera, state.poses, sample.mover, sample.point_local, normal_local,
+            sample.mirror_mover, sample.mirror_local, sample.mirrored,
+        )  # fmt: skip
+        return dr.select(sample.mirrored, mirrored, found)
+
+    def sample(
+        self, state: EngineState, ray: Ray, time_s: Any = 0.0, active: Any = True, rng: Any = None,
+        light_samples: int = 1, want_motion: bool = False,
+    ) -> Sample:  # fmt: skip
+        """Trace and shade one ray a lane (Whitted: mirrors to depth 3, see-through surfaces straight on).
+
+        ``rng``: UInt32 seed a lane for lights with an area and ambient occlusion; None: an even grid, the same in every
+        lane. ``light_samples``: shadow rays for each such light, a square number. ``want_motion`` (rays at t1 only) fills
+        ``motion`` and what `motion` needs of mirrors.
+        """
+        if math.isqrt(light_samples) ** 2 != light_samples or light_samples < 1:
+            raise InputError(
+                problem("light_samples", "samples of an area light", light_samples, "a square: 1, 4, 9, ... 64, 256")
+            )
+        active = mi.Bool(active)
+        # Primary hit.
+        hit, surface = self._visible_hit(state, ray, time_s, active, coherent=True)
+        seen = active & hit.valid
+        shaded = self._shade(state, surface, hit, ray, time_s, seen, rng, light_samples)
+        own = shaded.surface + shaded.albedo * shaded.light
+        extra = dr.select(seen, 0, state.background)
+        counts = {"shadow": shaded.shadow, "ambient_occlusion": shaded.ambient_occlusion}
+        mirror_local, mirror_mover = mi.Point3f(0), mi.UInt32(0)
+        mirrored = mi.Bool(False)
+        if self.follows_rays:
+            # What mirrors and see-through surfaces add.
+            followed = self._follow(state, ray, hit, surface, shaded, time_s, seen, rng, light_samples)
+            extra = extra + followed["color"]
+            counts["shadow"] += followed["shadow"]
+            counts["ambient_occlusion"] += followed["ambient_occlusion"]
+            counts["reflection"], counts["transmission"] = followed["reflection"], followed["transmission"]
+            mirror_local, mirror_mover = followed["mirror_local"], followed["mirror_mover"]
+            mirrored = seen & followed["found"] & (mi.luminance(shaded.mirror) > mi.luminance(shaded.albedo))
+        zero = dr.select(active, mi.UInt32(0), mi.UInt32(0))
+        for kind in ("reflection", "transmission", "probe"):
+            counts.setdefault(kind, zero)
+        color = own + extra
+        # Shading ends in [0, 65504]; nan becomes 0; both are counted.
+        wrong = active & dr.any((color > LARGEST) | (color < 0) | dr.isnan(color))
+        color = dr.select(dr.isnan(color), 0, dr.clip(color, 0, LARGEST))
+        z = hit.t * dr.dot(ray.d, forward_axis(state.camera, time_s)) * state.to_world
+        result = Sample(
+            color=dr.select(active, color, 0),
+            hit=seen,
+            t=hit.t,
+            z=dr.select(seen, z, dr.inf),
+            point=surface.point,
+            point_local=surface.point_local,
+            mover=hit.mover,
+            normal=surface.normal,
+            normal_geometric=surface.geometric,
+            albedo=shaded.albedo,
+            light=shaded.light,
+            surface=shaded.surface + extra,
+            material=surface.material,
+            motion=mi.Vector2f(0),
+            clamped=dr.select(wrong, mi.UInt32(1), mi.UInt32(0)),
+            mirrored=mirrored,
+            mirror_local=mirror_local,
+            mirror_mover=mirror_mover,
+            direction=ray.d,
+            rays=counts,
+        )
+        if want_motion:
+            result.motion = self.motion(state, result)
+        return result
+
+    def _visible_hit(
+        self, state: EngineState, ray: Ray, time_s: Any, active: Any, coherent: bool
+    ) -> tuple[RawHit, Surface]:
+        """The nearest hit that is not cut out, and its surface."""
+        hit = self.tracer.nearest(state.arrays, state.poses, ray.o, ray.d, time_s, active, coherent)
+        if self.requirements.cutouts:
+            hit = self._past_cutouts(state, ray, hit, time_s, active)
+        return hit, surface_at(self.tracer, state.arrays, state.poses, hit, ray.d, time_s, active & hit.valid)
+
+    def _past_cutouts(self, state: EngineState, ray: Ray, hit: RawHit, time_s: Any, active: Any) -> RawHit:
+        """Go on from hits that alphaMode MASK cuts out."""
+
+        def is_cut(hit: RawHit, on: Any) -> Any:
+            on = on & hit.valid
+            surface = surface_at(self.tracer, state.arrays, state.poses, hit, ray.d, time_s, on)
+            facing = dr.abs(dr.dot(surface.geometric, ray.d))
+            width = dr.fma(ray.spread, hit.t, ray.width)
+            return on & ~opacity(self.requirements, state.materials, surface, width, facing, on)
+
+        def step(hit: RawHit, cut: Any, steps: Any) -> tuple[Any, ...]:
+            gap = hit.t + 1e-5 * (1 + hit.t)
+            o = mi.Point3f(dr.fma(ray.d, gap, ray.o))
+            found = self.tracer.nearest(state.arrays, state.poses, o, ray.d, time_s, cut, coherent=False)
+            found = RawHit(found.t + gap, found.face, found.u, found.v, found.mover)
+            hit = dr.select(cut, found, hit)
+            return hit, is_cut(hit, cut) & (steps < _MOST_CUTOUTS), steps + 1
+
+        start = (hit, is_cut(hit, active), mi.UInt32(0))
+        return dr.while_loop(start, lambda hit, cut, steps: cut, step, label="cutouts")[0]
+
+    def _shade(
+        self,
+        state: EngineState,
+        surface: Surface,
+        hit: RawHit,
+        ray: Ray,
+        time_s: Any,
+        active: Any,
+        rng: Any,
+        light_samples: int,
+    ) -> _Shaded:
+        """Light leaving one hit towards the ray's origin, and the weights of the rays that go on from it."""
+        needs = self.requirements
+        view = -mi.Vector3f(ray.d)
+        facing = dr.abs(dr.dot(surface.geometric, ray.d))
+        width = dr.fma(ray.spread, dr.select(hit.valid, hit.t, 0), ray.width)
+        look = look_at_hit(needs, state.materials, surface, width, facing, active)
+        none = dr.select(active, mi.UInt32(0), mi.UInt32(0))
+        shadow, ao_rays = none, none
+        own, light, albedo, mirror = look.emission, mi.Color3f(0), look.diffuse, mi.Color3f(0)
+        if self.lighting == "ambient_occlusion":
+            albedo = dr.select(look.phong, look.diffuse, look.base) if needs.phong else look.base
+            lit = active & ~look.unlit
+            light = mi.Color3f(
+                ambient_occlusion(
+                    self.tracer, state.arrays, state.poses, surface, state.ao_radius, time_s, lit, rng, self.ao_samples
+                )
+            )
+            ao_rays = dr.select(lit, mi.UInt32(self.ao_samples), mi.UInt32(0))
+        else:
+            lit = active & ~look.unlit if needs.unlit else active
+            got = direct_light(
+                self.tracer, state.arrays, state.poses, state.lights, self._light_groups, self._lights_move,
+                surface, look, view, time_s, lit, rng, light_samples,
+            )  # fmt: skip
+            shadow, light = got.shadow_rays, got.noisy
+            own = own + look.diffuse * got.even + got.specular
+            if needs.ambient:
+                own = own + state.ambient * dr.select(look.unlit, 0, look.ambient)
+            if self.lighting == "probes" and self.indirect is not None:
+                own = own + look.diffuse * self.indirect(state, surface.point, surface.normal, active)
+            if needs.mirrors:
+                mirror = mirror_weight(look, dr.maximum(dr.dot(surface.normal, view), 0))
+        behind = mi.Color3f(0)
+        if needs.transparency:
+            # alpha BLEND: the surface covers alpha of what is behind; transmission: Phong adds, glTF replaces diffuse.
+            kept = dr.select(look.see_through, look.alpha, 1)
+            through = dr.select(look.see_through, look.transmission, 0)
+            diffuse_left = dr.select(look.phong, 1, 1 - through)
+            own, mirror = own * kept, mirror * kept
+            own = dr.select(through > 0, own * diffuse_left, own)
+            albedo = albedo * (kept * diffuse_left)
+            tint = dr.select(look.phong, mi.Color3f(1), look.base)
+            behind = mi.Color3f(1 - kept) + tint * (kept * through)
+        zero = mi.Color3f(0)
+        return _Shaded(
+            surface=dr.select(active, own, zero),
+            albedo=dr.select(active, dr.select(look.unlit, zero, albedo), zero),
+            light=dr.select(active, light, zero),
+            mirror=dr.select(active, mirror, zero),
+            behind=dr.select(active, behind, zero),
+            shadow=shadow,
+            ambient_occlusion=ao_rays,
+        )
+
+    def _follow(
+        self, state: EngineState, ray: Ray, hit: RawHit, surface: Surface, shaded: _Shaded, time_s: Any, active: Any, rng: Any,
+        light_samples: int,
+    ) -> dict[str, Any]:  # fmt: skip
+        """Light through mirrors (depth 3, then dropped) and see-through surfaces (straight on, same depth).
+
+        A ray that splits goes on as its reflection; the straight-on part waits in ``waiting`` at its mirror depth.
+        """
+        mirrors = self.requirements.mirrors and self.lighting != "ambient_occlusion"
+        see_through = self.requirements.transparency
+        levels = (MIRROR_DEPTH + 1 if mirrors else 1) if see_through else 0
+        zero3, no = mi.Color3f(0), mi.UInt32(0)
+
+        def onward(s: Any, hit: RawHit, surface: Surface, shaded: _Shaded, on: Any) -> dict[str, Any]:
+            """Choose how the lane goes on from a shaded hit."""
+            d = mi.Vector3f(s["d"])
+            width = dr.fma(s["spread"], dr.select(hit.valid, hit.t, 0), s["width"])
+            reflects, passes = mi.Bool(False), mi.Bool(False)
+            if mirrors:
+                reflects = on & (dr.max(shaded.mirror * s["weight"]) >= 1e-3) & (s["depth"] < MIRROR_DEPTH)
+                reflects &= dr.max(shaded.mirror) > 0
+            if see_through:
+                passes = on & (dr.max(shaded.behind * s["weight"]) > 1e-4)
+            through_o = start_point(surface, -mi.Vector3f(surface.geometric))
+            through_weight = s["weight"] * shaded.behind
+            waiting = []
+            for level, place in enumerate(s["waiting"]):
+                store = passes & reflects & (s["depth"] == level)
+                entry = {
+                    "o": through_o,
+                    "d": d,
+                    "weight": through_weight,
+                    "width": width,
+                    "spread": s["spread"],
+                    "on": mi.Bool(True),
+                }
+                waiting.append(dr.select(store, entry, place))
+            normal = mi.Vector3f(surface.normal)
+            bounced = d - normal * (2 * dr.dot(d, normal))
+            geometric = mi.Vector3f(surface.geometric)
+            # A reflection that a smoothed normal sends below the face is brought back above it.
+            below = dr.dot(bounced, geometric)
+            bounced = dr.normalize(dr.select(below < 1e-3, bounced + geometric * (2e-3 - below), bounced))
+            out = dict(s)
+            straight = passes & ~reflects
+            out["o"] = dr.select(reflects, start_point(surface, geometric), dr.select(straight, through_o, s["o"]))
+            out["d"] = dr.select(reflects, bounced, d)
+            out["weight"] = dr.select(
+                reflects, s["weight"] * shaded.mirror, dr.select(straight, through_weight, s["weight"])
+            )
+            out["width"] = dr.select(reflects | straight, width, s["width"])
+            out["depth"] = s["depth"] + dr.select(reflects, mi.UInt32(1), no)
+            out["on"] = reflects | passes
+            out["reflection"] = s["reflection"] + dr.select(reflects, mi.UInt32(1), no)
+            out["transmission"] = s["transmission"] + dr.select(passes, mi.UInt32(1), no)
+            out["waiting"] = waiting
+            # A lane that ends takes up the deepest waiting ray.
+            for level in reversed(range(levels)):
+                place = out["waiting"][level]
+                take = ~out["on"] & place["on"]
+                for name in ("o", "d", "weight", "width", "spread"):
+                    out[name] = dr.select(take, place[name], out[name])
+                out["depth"] = dr.select(take, mi.UInt32(level), out["depth"])
+                out["on"] = out["on"] | take
+                place = dict(place)
+                place["on"] = place["on"] & ~take
+                out["waiting"][level] = place
+            return out
+
+        idle = {
+            "o": mi.Point3f(0), "d": mi.Vector3f(0, 0, 1), "weight": zero3, "width": mi.Float(0), "spread": mi.Float(0), "on": mi.Bool(False)
+        }  # fmt: skip
+        start = {
+            "o": mi.Point3f(ray.o), "d": mi.Vector3f(ray.d), "weight": mi.Color3f(1), "width": mi.Float(ray.width),
+            "spread": mi.Float(ray.spread), "depth": mi.UInt32(0), "on": mi.Bool(active), "color": zero3, "shadow": mi.UInt32(0),
+            "ambient_occlusion": mi.UInt32(0), "reflection": mi.UInt32(0), "transmission": mi.UInt32(0), "steps": mi.UInt32(0),
+            "mirror_local": mi.Point3f(0), "mirror_mover": mi.UInt32(0), "found": mi.Bool(False),
+            "waiting": [dict(idle) for _ in range(levels)],
+        }  # fmt: skip
+        start = onward(start, hit, surface, shaded, active)
+
+        def step(s: dict[str, Any]) -> tuple[dict[str, Any]]:
+            on = s["on"]
+            here = Ray(s["o"], s["d"], s["width"], s["spread"])
+            hit, surface = self._visible_hit(state, here, time_s, on, coherent=False)
+            seen = on & hit.valid
+            seed = None if rng is None else combined(rng, s["steps"] + 7919)
+            shaded = self._shade(state, surface, hit, here, time_s, seen, seed, light_samples)
+            light = dr.select(seen, shaded.surface + shaded.albedo * shaded.light, state.background)
+            s = dict(s)
+            # The first thing that the first mirror shows, for reflected motion vectors.
+            first = seen & (s["depth"] == 1) & ~s["found"]
+            s["mirror_local"] = dr.select(first, surface.point_local, s["mirror_local"])
+            s["mirror_mover"] = dr.select(first, hit.mover, s["mirror_mover"])
+            s["found"] = s["found"] | first
+            s["color"] = s["color"] + dr.select(on, s["weight"] * light, 0)
+            s["shadow"] = s["shadow"] + dr.select(seen, shaded.shadow, no)
+            s["ambient_occlusion"] = s["ambient_occlusion"] + dr.select(seen, shaded.ambient_occlusion, no)
+            s["steps"] = s["steps"] + 1
+            s = onward(s, hit, surface, shaded, seen)
+            s["on"] = s["on"] & (s["steps"] < _MOST_STEPS)
+            return (s,)
+
+        return dr.while_loop((start,), lambda s: s["on"], step, label="mirrors and glass")[0]

@@ -1,0 +1,70 @@
+"""Frozen Dr.Jit kernels behind one wrapper that keeps clear of their traps.
+
+`dr.freeze` records a function once and replays its kernels. Everything on the device that the function reads must come
+in as an argument (closures are not looked into); Python numbers among the arguments are part of the recording. A
+zero-width argument aborts the process, so a call without lanes never reaches the recording.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+from renderers.backend import dr
+
+MAX_RECORDINGS = 8
+"""More recordings than this of one kernel mean that a changing Python value slipped in (each costs 0.1 to 1 s)."""
+
+
+def plain_values(value: Any) -> str:
+    """The Python values inside ``value`` (numbers, strings, settings), in order, as one string.
+
+    Dr.Jit 1.5 keys a recording by the *set* of Python objects among its arguments: ``f(x, 1, 2, 1)`` replays what was
+    recorded for ``f(x, 1, 2, 2)``, silently, because the last 1 was met before. This string is a new object each time.
+    """
+    if value is None or isinstance(value, bool | int | float | str):
+        return repr(value)
+    if isinstance(value, tuple | list):
+        return "[" + ",".join(map(plain_values, value)) + "]"
+    if isinstance(value, dict):
+        return "{" + ",".join(f"{key!r}:{plain_values(item)}" for key, item in value.items()) + "}"
+    if hasattr(type(value), "DRJIT_STRUCT"):
+        return "(" + ",".join(plain_values(getattr(value, name)) for name in type(value).DRJIT_STRUCT) + ")"
+    if is_dataclass(value) and not isinstance(value, type):
+        return type(value).__name__ + "(" + ",".join(plain_values(getattr(value, f.name)) for f in fields(value)) + ")"
+    return type(value).__name__
+
+
+class Frozen:
+    """A frozen function. Call it with ``lanes``, the number of lanes of this call, then the function's arguments.
+
+    Returns the function's result, or None where ``lanes`` is 0 (nothing ran). The function's results of width 1 and
+    of other widths are separate recordings. Raises RuntimeError where it was recorded more than ``max_recordings``
+    times: a caller's bug that would show only as slowness.
+    """
+
+    def __init__(self, function: Callable[..., Any], max_recordings: int = MAX_RECORDINGS) -> None:
+        self.name = getattr(function, "__qualname__", repr(function))
+        self.max_recordings = max_recordings
+        self._function = dr.freeze(function, warn_after=10_000, state_fn=lambda *arguments: [plain_values(arguments)])
+
+    @property
+    def recordings(self) -> int:
+        """How often the function has been recorded so far."""
+        return self._function.n_recordings
+
+    def __call__(self, lanes: int, *arguments: Any) -> Any:
+        if lanes == 0:
+            return None
+        result = self._function(*arguments)
+        if self.recordings > self.max_recordings:
+            raise RuntimeError(
+                f"{self.name}: recorded {self.recordings} times; a Python value changes from call to call"
+            )
+        return result
+
+
+def frozen(function: Callable[..., Any], max_recordings: int = MAX_RECORDINGS) -> Frozen:
+    """``function`` as a `Frozen` kernel."""
+    return Frozen(function, max_recordings)
