@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from protocols.blocks import PAIR_KINDS, WORD_KINDS, Block
-from protocols.cells import Cell, block_cells, condition_sets, explicit_cell, panel
+from protocols.cells import Cell, block_cells, explicit_cell, panel
 from protocols.latin import balanced_rows
 from protocols.quantity import seconds
 from protocols.question import QuestionSpec
@@ -229,7 +229,6 @@ class _Maker:
                 shown = Cell(cell.scene, (catch.bad or catch.good or "",), cell.levels, cell.settings)
                 low, high = catch.expect or (0, 0)
                 made = replace(self.trial(shown, shown.members, 0, catch=True), correct=f"{low}..{high}")
-            made = replace(made, factors={**made.factors, "catch": str(number)})
             out.insert(int(rng.integers(min(1, len(out)), len(out) + 1)), made)
         return out
 
@@ -276,6 +275,3 @@ def question(name: str, spec: QuestionSpec, slots: tuple[str, ...], swapped: boo
     return Question(
         name, spec.text, spec.kind, options, spec.low, spec.high, spec.labels, keys, spec.window_s, spec.min_view_s
     )
-
-
-__all__ = ["column", "condition_sets", "exchanged", "group_of", "plan", "question", "stream"]

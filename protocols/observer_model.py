@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
@@ -66,6 +66,14 @@ class LikertModel(Model):
         return self
 
 
+class Pictures(Model):
+    """Utilities taken from the frames really shown: minus ``logits_per_unit`` times a metric of their error against
+    the reference. `studyapp` computes the metric from the play cache and the recorded refreshes and hands it in."""
+
+    metric: Literal["rmse", "flip", "flicker"] = "rmse"
+    logits_per_unit: Annotated[float, Field(gt=0, le=1e6)]
+
+
 class ObserverModel(Model):
     """Simulated observers. ``utilities``: condition (or technique) -> logits; the chance that A is chosen over B is
     the logistic function of their difference. ``scene_utilities``: scene -> condition -> what is added there."""
@@ -83,4 +91,5 @@ class ObserverModel(Model):
     )
     rt: ReactionTime = ReactionTime()
     likert: dict[Name, LikertModel] = Field(default_factory=dict)
+    pictures: Pictures | None = None
     no_answer: Share = Field(default=0.0, description="share of trials without any answer")

@@ -303,8 +303,8 @@ def _observer(study: Study, names: _Declared) -> Iterator[Problem]:
             yield unknown(("observer", "scene_utilities", scene), "observer.scene_utilities", scene, names.scenes)
         for word in table:
             if word not in known:
-                loc = ("observer", "scene_utilities", scene, word)
-                yield unknown(loc, f"observer.scene_utilities.{scene}", word, known)
+                at_scene = ("observer", "scene_utilities", scene, word)
+                yield unknown(at_scene, f"observer.scene_utilities.{scene}", word, known)
     for question, model in study.observer.likert.items():
         loc: Loc = ("observer", "likert", question)
         what = f"observer.likert.{question}"

@@ -82,3 +82,16 @@ class Trial:
         known["panels"] = tuple(Panel(**panel) for panel in data["panels"])
         known["questions"] = tuple(Question(**{**q, "options": tuple(q["options"])}) for q in data["questions"])
         return Trial(**known)
+
+
+def is_right(correct: str, *given: str | None) -> bool:
+    """Whether a catch trial was answered rightly. ``correct``: a slot, or ``low..high`` for ratings within a range;
+    ``given``: the slot chosen and/or the rating as text."""
+    if ".." not in correct:
+        return correct in given
+    low, high = (float(end) for end in correct.split(".."))
+    return any(low <= float(answer) <= high for answer in given if answer is not None and _is_number(answer))
+
+
+def _is_number(text: str) -> bool:
+    return text.lstrip("+-").replace(".", "", 1).isdigit()
