@@ -59,13 +59,13 @@ def raster(
     """(H, W, 3) uint8 pictures of ``scene`` at ``times_s``; call it only in a process without a GL context."""
     width, height = size_px[0] * supersample, size_px[1] * supersample
     view = pyrender.Scene(bg_color=[*scene.background, 1.0], ambient_light=[0.25, 0.25, 0.25])
-    copies: dict[int, pyrender.Primitive] = {}
+    meshes: dict[tuple[int, tuple[float, float]], pyrender.Mesh] = {}
     for part in scene.static:
-        view.add(pyrender.Mesh([_shown(part, copies)]), pose=part.matrix)
+        view.add(_mesh(part, (-np.inf, np.inf), meshes), pose=part.matrix)
     moving = []
     for mover in scene.movers:
         for part in mover.parts:
-            node = view.add(pyrender.Mesh([_shown(part, copies)]), pose=np.eye(4))
+            node = view.add(_mesh(part, mover.visible_s, meshes), pose=np.eye(4))
             moving.append((mover, part, node))
     radius = scene_radius(scene)
     eye = view.add(pyrender.PerspectiveCamera(camera.yfov_rad, znear=1e-3 * radius, zfar=20.0 * radius), pose=np.eye(4))
@@ -90,20 +90,24 @@ def raster(
     return pictures
 
 
-def _shown(part: Part, copies: dict[int, pyrender.Primitive]) -> pyrender.Primitive:
-    """A primitive for pyrender, whose materials show only one side unless told otherwise."""
-    key = id(part.primitive)
-    if key not in copies:
+def _mesh(
+    part: Part, visible_s: tuple[float, float], meshes: dict[tuple[int, tuple[float, float]], pyrender.Mesh]
+) -> pyrender.Mesh:
+    """One pyrender mesh for all nodes that show the same primitive in the same seconds."""
+    key = id(part.primitive), visible_s
+    if key not in meshes:
         source = part.primitive
-        copies[key] = pyrender.Primitive(
+        shown = pyrender.Primitive(
             positions=source.positions,
             normals=source.normals,
-            texcoord_0=source.texcoord_0,
+            # pyrender turns pictures upside down on upload; ours have v downwards as glTF has it.
+            texcoord_0=None if source.texcoord_0 is None else source.texcoord_0 * (1.0, -1.0) + (0.0, 1.0),
             color_0=source.color_0,
             indices=source.indices,
             material=_preview_material(part.material),
         )
-    return copies[key]
+        meshes[key] = pyrender.Mesh([shown])
+    return meshes[key]
 
 
 def _preview_material(material: Material) -> pyrender.MetallicRoughnessMaterial:
