@@ -1,0 +1,393 @@
+"""Linear mixed models by REML with Satterthwaite's degrees of freedom; ordinary least squares without random terms.
+
+V = s0 I + sum_k s_k Z_k Z_k'. With P = V^-1 - V^-1 X (X'V^-1 X)^-1 X'V^-1 every derivative of the restricted
+log-likelihood follows from Z'PZ and Z'Py (those of the residual variance from V = sum s_k V_k), so that nothing larger
+than the number of random effects is inverted (Johnson & Thompson 1995; Woodbury's identity). The design is taken through
+QR after centring and scaling, so that the coefficients keep the digits of the data.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy import linalg, optimize, special
+
+from analysis.cells import shift_and_scale
+from analysis.formula import ModelFrame, RandomTerm, independent_columns, model_frame
+from analysis.log_tails import log10_f, log10_t, p_f, p_t
+from analysis.results import (
+    BOUNDARY,
+    NOT_CONVERGED,
+    OK,
+    TOO_FEW_SUBJECTS,
+    UNDEFINED,
+    ZERO_ERROR_VARIANCE,
+    numbers,
+    result_table,
+)
+
+COLUMNS = ["term", "estimate", "se", "df", "t", "p", "log10_p", "ci_low", "ci_high"]
+
+
+@dataclass(frozen=True)
+class Design:
+    """Independent columns of the model through QR: x = (q r) after centring and scaling; ``back`` maps to terms."""
+
+    q: np.ndarray
+    back: np.ndarray
+    labels: list[str]
+    aliased: list[str]
+    intercept: int | None
+
+
+def _design(frame: ModelFrame) -> Design:
+    """Centre (where there is an intercept) and scale the columns, then QR; drop what is linearly dependent."""
+    x = frame.x
+    intercept = frame.terms.index("(Intercept)") if "(Intercept)" in frame.terms else None
+    shift, scale = np.zeros(x.shape[1]), np.ones(x.shape[1])
+    work = x.copy()
+    for j in range(x.shape[1]):
+        if j == intercept or not len(x):
+            continue
+        if intercept is not None:
+            first = x[0, j]
+            shift[j] = first + math.fsum(x[:, j] - first) / len(x)
+            work[:, j] = x[:, j] - shift[j]
+        scale[j] = float(np.linalg.norm(work[:, j])) or 1.0
+        work[:, j] /= scale[j]
+    kept = independent_columns(work)
+    labels = [frame.terms[j] for j in kept]
+    aliased = [t for j, t in enumerate(frame.terms) if j not in set(kept.tolist())]
+    q, r = np.linalg.qr(work[:, kept])
+    back = linalg.solve_triangular(r, np.eye(len(kept))) / scale[kept][:, None]
+    place = labels.index("(Intercept)") if "(Intercept)" in labels else None
+    if place is not None:
+        # Undo the centring: the intercept carries the shifts of all other columns.
+        others = [i for i in range(len(kept)) if i != place]
+        back[place] -= shift[kept][others] @ back[others]
+    return Design(q, back, labels, aliased, place)
+
+
+class Reml:
+    """Restricted likelihood of variances (residual first) for a response and an orthonormal design."""
+
+    def __init__(self, y: np.ndarray, q: np.ndarray, random: list[RandomTerm]) -> None:
+        self.n, self.p = q.shape
+        sizes = [len(np.unique(term.codes)) for term in random]
+        z = np.zeros((self.n, sum(sizes)))
+        for term, start in zip(random, np.cumsum([0, *sizes[:-1]]), strict=True):
+            z[np.arange(self.n), start + term.codes] = term.design
+        self.owner = np.repeat(np.arange(len(random)), sizes)
+        self.zz, self.zq, self.zy = z.T @ z, z.T @ q, z.T @ y
+        self.qy, self.yy = q.T @ y, float(y @ y)
+
+    def state(self, variances: np.ndarray) -> dict[str, Any]:
+        """Restricted log-likelihood, its gradient and (negative) Hessian by the variances, and the coefficients."""
+        s0, s = variances[0], variances[1:]
+        d = np.sqrt(s[self.owner])
+        # V^-1 = (I - Z D A^-1 D Z') / s0 with A = s0 I + D Z'Z D.
+        a = s0 * np.eye(len(d)) + d[:, None] * self.zz * d
+        factor = linalg.cho_factor(a, lower=True)
+
+        def through(left: np.ndarray, right: np.ndarray, plain: np.ndarray) -> np.ndarray:
+            inner = linalg.cho_solve(factor, d[:, None] * right)
+            return np.asarray((plain - (d[:, None] * left).T @ inner) / s0)
+
+        zy, qy = self.zy[:, None], self.qy[:, None]
+        x_v_x = through(self.zq, self.zq, np.eye(self.p))
+        x_v_y = through(self.zq, zy, qy)[:, 0]
+        y_v_y = float(through(zy, zy, np.array([[self.yy]]))[0, 0])
+        z_v_x, z_v_z = through(self.zz, self.zq, self.zq), through(self.zz, self.zz, self.zz)
+        z_v_y = through(self.zz, zy, zy)[:, 0]
+        inverse = np.linalg.inv(x_v_x)
+        beta = inverse @ x_v_y
+        y_p_y = y_v_y - float(x_v_y @ beta)
+        z_p_z, z_p_y = z_v_z - z_v_x @ inverse @ z_v_x.T, z_v_y - z_v_x @ beta
+        log_det_v = self.n * math.log(s0) + 2 * float(np.sum(np.log(np.diag(factor[0])))) - len(d) * math.log(s0)
+        value = -0.5 * (
+            log_det_v + float(np.linalg.slogdet(x_v_x)[1]) + y_p_y + (self.n - self.p) * math.log(2 * math.pi)
+        )
+        k = len(s)
+        block = [self.owner == j for j in range(k)]
+        trace = np.array([float(np.trace(z_p_z[np.ix_(b, b)])) for b in block])
+        square = np.array([float(z_p_y[b] @ z_p_y[b]) for b in block])
+        tr_p, y_pp_y = (self.n - self.p - float(s @ trace)) / s0, (y_p_y - float(s @ square)) / s0
+        gradient = 0.5 * np.concatenate([[y_pp_y - tr_p], square - trace])
+        # Negative second derivatives; those with V itself are known, and V = s0 I + sum s_k V_k gives the rest.
+        hessian = np.zeros((k + 1, k + 1))
+        for i in range(k):
+            for j in range(k):
+                part = z_p_z[np.ix_(block[i], block[j])]
+                hessian[i + 1, j + 1] = float(z_p_y[block[i]] @ part @ z_p_y[block[j]]) - 0.5 * float(np.sum(part**2))
+        with_v = square - 0.5 * trace
+        hessian[0, 1:] = hessian[1:, 0] = (with_v - hessian[1:, 1:] @ s) / s0 if k else 0.0
+        hessian[0, 0] = ((y_pp_y - 0.5 * tr_p) - float(s @ hessian[0, 1:])) / s0
+        return {
+            "value": value, "gradient": gradient, "information": hessian, "beta": beta, "covariance": inverse,
+            "z_v_x": z_v_x, "x_v_x": x_v_x, "block": block, "y_p_y": y_p_y,
+        }  # fmt: skip
+
+    def covariance_slopes(self, state: dict[str, Any], variances: np.ndarray) -> list[np.ndarray]:
+        """d Cov(beta) / d variance, residual first."""
+        c = state["covariance"]
+        by_random = []
+        for b in state["block"]:
+            zx = state["z_v_x"][b]
+            by_random.append(c @ zx.T @ zx @ c)
+        # Cov(beta) is homogeneous of degree 1 in the variances.
+        weighted = sum((s * m for s, m in zip(variances[1:], by_random, strict=True)), np.zeros_like(c))
+        return [(c - weighted) / variances[0], *by_random]
+
+
+def _maximise(reml: Reml, start: np.ndarray) -> tuple[np.ndarray, bool]:
+    """Variances at the maximum: L-BFGS-B on logarithms of the residual and on standard deviation ratios, then Newton."""
+    k = len(start) - 1
+
+    def unpack(work: np.ndarray) -> np.ndarray:
+        return np.concatenate([[1.0], work**2]) * math.exp(work_scale(work))
+
+    def work_scale(work: np.ndarray) -> float:
+        # The residual variance that is best for given ratios has a closed form.
+        state = reml.state(np.concatenate([[1.0], work**2]))
+        return math.log(max(state["y_p_y"], 1e-300) / (reml.n - reml.p))
+
+    def objective(work: np.ndarray) -> tuple[float, np.ndarray]:
+        variances = unpack(work)
+        state = reml.state(variances)
+        return -state["value"], -(state["gradient"][1:] * 2 * work * variances[0])
+
+    best: tuple[float, np.ndarray] | None = None
+    for ratio in (1.0, 0.1):
+        found = optimize.minimize(
+            objective, np.full(k, ratio), jac=True, method="L-BFGS-B", bounds=[(0.0, 1e4)] * k,
+            options={"ftol": 1e-14, "gtol": 1e-8, "maxiter": 500},
+        )  # fmt: skip
+        if best is None or found.fun < best[0]:
+            best = (float(found.fun), found.x)
+    assert best is not None
+    variances = unpack(best[1])
+    variances[1:][variances[1:] < 1e-8 * variances[0]] = 0.0
+    free = variances > 0
+    converged = False
+    for _ in range(30):
+        state = reml.state(variances)
+        step = np.zeros(k + 1)
+        step[free] = np.linalg.lstsq(state["information"][np.ix_(free, free)], state["gradient"][free], rcond=None)[0]
+        trial = variances + step
+        size = float(np.max(np.abs(step / np.where(free, variances, 1.0))))
+        if size < 1e-7:
+            converged = True
+        if size < 1e-12 or not (trial[free] > 0).all() or size > 0.5:
+            break
+        if reml.state(trial)["value"] < state["value"] - 1e-9 * abs(state["value"]):
+            break
+        variances = trial
+    gradient = reml.state(variances)["gradient"][free] * variances[free]
+    return variances, converged or bool(np.max(np.abs(gradient)) < 1e-3)
+
+
+def linear_mixed(
+    table: pd.DataFrame, formula: str, random: str | Sequence[str] | None = None, level: float = 0.95
+) -> pd.DataFrame:
+    """Linear mixed model by REML; one row a fixed effect, Satterthwaite's t (as lmerTest gives it).
+
+    ``formula`` 'rt ~ a * b'; ``random``: '(1|participant)', a column's name, or a list of them, crossed or nested
+    ('(1|a/b)'), also independent slopes '(x||g)'; None: ordinary least squares. Terms are named as R names them, the
+    first level of a factor is the reference. ``attrs``: log_likelihood (restricted, in the data's unit), variances
+    {group: variance, 'residual': ...}, sigma, r_squared (least squares only), tests: joint F tests of terms with more
+    than one column are in ``attrs['f_tests']`` [{term, df1, df2, F, p, log10_p}]. A variance of 0 makes rows
+    ``boundary``. Raises InputError for unknown columns or formulas.
+    """
+    frame = model_frame("linear_mixed", table, formula, random)
+    y = numbers("linear_mixed", table, frame.response)[frame.rows]
+    # Shift the response only where the model has an intercept to take it up.
+    has_intercept = "(Intercept)" in frame.terms
+    y, offset, scale, rounding = shift_and_scale(y)
+    if not has_intercept:
+        y, offset = y + offset / scale, 0.0
+    design = _design(frame)
+    n, p = len(y), len(design.labels)
+    method = f"Linear mixed model, {formula}, {_random_text(frame)}; REML, Satterthwaite's degrees of freedom."
+    if not frame.random:
+        method = f"Linear model, {formula}; ordinary least squares."
+    n_subjects = len(np.unique(frame.random[0].codes)) if frame.random else n
+    attrs: dict[str, Any] = {"n": n}
+
+    def made(rows: list[dict[str, Any]]) -> pd.DataFrame:
+        rows = rows + [_nothing(t, UNDEFINED, "is a linear combination of other terms") for t in design.aliased]
+        rows += [_nothing(t, UNDEFINED, "has one level") for t in frame.empty]
+        return result_table(rows, COLUMNS, method=method, n_subjects=n_subjects, dropped=frame.dropped, attrs=attrs)
+
+    if n <= p:
+        note = f"{n} valid rows do not determine {p} terms and an error variance"
+        return made([_nothing(t, TOO_FEW_SUBJECTS, note) for t in design.labels])
+    # Least squares first: its residual says whether there is an error at all. One refinement keeps the last digits.
+    gamma = design.q.T @ y
+    gamma = gamma + design.q.T @ (y - design.q @ gamma)
+    residual = y - design.q @ gamma
+    rss = math.fsum(residual**2)
+    if not rss > rounding**2 * n:
+        beta = _in_unit(design, gamma, scale, offset)
+        return made([_exact_row(t, float(b), float(rounding * scale)) for t, b in zip(design.labels, beta, strict=True)])
+    if not frame.random:
+        variance = rss / (n - p)
+        _least_squares_attrs(attrs, y, rss, variance, n, p, scale, has_intercept)
+        df = np.full(p, float(n - p))
+        return made(_rows(design, gamma, np.eye(p) * variance, df, scale, offset, level, OK, ""))
+    few = [term for term in frame.random if len(np.unique(term.codes)) < 2]
+    if few:
+        note = f"{few[0].name!r} has one group: no inference about others"
+        return made([_nothing(t, TOO_FEW_SUBJECTS, note) for t in design.labels])
+    full = [term for term in frame.random if len(np.unique(term.codes)) >= n and (term.design == 1).all()]
+    if full:
+        note = f"{full[0].name!r} has a group for every row: it cannot be told from the error"
+        return made([_nothing(t, UNDEFINED, note) for t in design.labels])
+    return made(_mixed_rows(frame, design, y, residual, scale, offset, rounding, level, attrs))
+
+
+def _mixed_rows(
+    frame: ModelFrame, design: Design, y: np.ndarray, residual: np.ndarray, scale: float, offset: float,
+    rounding: float, level: float, attrs: dict[str, Any],
+) -> list[dict[str, Any]]:  # fmt: skip
+    """REML fit and its table rows."""
+    n, p = design.q.shape
+    # The response without its least-squares fit: same variances, and no digits lost to large fixed effects.
+    unit = math.sqrt(float(residual @ residual) / (n - p))
+    reml = Reml(residual / unit, design.q, frame.random)
+    variances, converged = _maximise(reml, np.ones(len(frame.random) + 1))
+    if not variances[0] > max((rounding / unit) ** 2, 1e-16):
+        note = "nothing varies but the random effects: the residual variance is zero"
+        return [_nothing(t, ZERO_ERROR_VARIANCE, note) for t in design.labels]
+    state = reml.state(variances)
+    gamma = design.q.T @ y + state["beta"] * unit
+    covariance = state["covariance"] * unit**2
+    free = variances > 0
+    information = state["information"][np.ix_(free, free)]
+    of_variances = np.zeros((len(variances), len(variances)))
+    of_variances[np.ix_(free, free)] = np.linalg.pinv(information, hermitian=True)
+    slopes = reml.covariance_slopes(state, variances)
+    back = design.back
+    df = np.empty(p)
+    for j in range(p):
+        contrast = back[j]
+        df[j] = _satterthwaite(contrast, state["covariance"], slopes, of_variances)
+    names = ["residual", *(term.name for term in frame.random)]
+    in_unit = variances * (unit * scale) ** 2
+    log_scale = math.log(unit * scale)
+    # The determinant of X'X in the terms' own columns belongs to the restricted likelihood as lme4 reports it.
+    log_det = -2 * float(np.linalg.slogdet(back)[1])
+    attrs |= {
+        "log_likelihood": state["value"] - (n - p) * log_scale - 0.5 * log_det,
+        "variances": dict(zip(names, map(float, in_unit), strict=True)),
+        "sigma": math.sqrt(float(in_unit[0])),
+        "f_tests": _f_tests(frame, design, gamma, covariance, state, slopes, of_variances),
+    }
+    status, note = OK, ""
+    if not converged:
+        status, note = NOT_CONVERGED, "the search for the maximum did not end"
+    elif not free.all():
+        gone = ", ".join(name for name, kept in zip(names, free, strict=True) if not kept)
+        status, note = BOUNDARY, f"the variance of {gone} is estimated as 0: the model is that without it"
+    return _rows(design, gamma, covariance, df, scale, offset, level, status, note)
+
+
+def _satterthwaite(
+    contrast: np.ndarray, covariance: np.ndarray, slopes: list[np.ndarray], of_variances: np.ndarray
+) -> float:
+    """2 v^2 / (g' W g): v the variance of the contrast, g its derivatives by the variances, W their covariance."""
+    variance = float(contrast @ covariance @ contrast)
+    gradient = np.array([float(contrast @ slope @ contrast) for slope in slopes])
+    below = float(gradient @ of_variances @ gradient)
+    return 2 * variance**2 / below if below > 0 else math.inf
+
+
+def _f_tests(
+    frame: ModelFrame, design: Design, gamma: np.ndarray, covariance: np.ndarray, state: dict[str, Any],
+    slopes: list[np.ndarray], of_variances: np.ndarray,
+) -> list[dict[str, Any]]:  # fmt: skip
+    """Joint test of all columns whose names share their factors (Fai & Cornelius 1996, as lmerTest)."""
+    groups: dict[str, list[int]] = {}
+    columns = sorted({c for c in frame.terms if c != "(Intercept)"}, key=len)
+    for j, label in enumerate(design.labels):
+        if label in columns:
+            groups.setdefault(frame.sources.get(label, label), []).append(j)
+    tests = []
+    for name, index in groups.items():
+        rows = design.back[index]
+        middle = rows @ covariance @ rows.T
+        estimate = rows @ gamma
+        f = float(estimate @ np.linalg.solve(middle, estimate)) / len(index)
+        _, vectors = np.linalg.eigh(rows @ state["covariance"] @ rows.T)
+        dfs = [_satterthwaite(v @ rows, state["covariance"], slopes, of_variances) for v in vectors.T]
+        total = sum(df / (df - 2) for df in dfs if df > 2)
+        df2 = 2 * total / (total - len(index)) if len(index) > 1 and total > len(index) else dfs[0]
+        tests.append({"term": name, "df1": len(index), "df2": df2, "F": f, "p": p_f(f, len(index), df2),
+                      "log10_p": log10_f(f, len(index), df2)})  # fmt: skip
+    return tests
+
+
+def _random_text(frame: ModelFrame) -> str:
+    return " + ".join(f"(1|{term.name})" if "|" not in term.name else f"(0 + {term.name})" for term in frame.random)
+
+
+def _in_unit(design: Design, gamma: np.ndarray, scale: float, offset: float) -> np.ndarray:
+    """Coefficients of the terms in the data's unit."""
+    beta = np.asarray(design.back @ gamma) * scale
+    if design.intercept is not None:
+        beta[design.intercept] += offset
+    return beta
+
+
+def _rows(
+    design: Design, gamma: np.ndarray, covariance: np.ndarray, df: np.ndarray, scale: float, offset: float,
+    level: float, status: str, note: str,
+) -> list[dict[str, Any]]:  # fmt: skip
+    beta = _in_unit(design, gamma, scale, offset)
+    se = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", design.back, covariance, design.back), 0.0)) * scale
+    rows = []
+    for j, label in enumerate(design.labels):
+        t = float(beta[j] / se[j])
+        one = float(df[j])
+        quantile = special.stdtrit(one, 0.5 + level / 2) if math.isfinite(one) else special.ndtri(0.5 + level / 2)
+        half = float(quantile) * float(se[j])
+        rows.append({
+            "term": label, "estimate": float(beta[j]), "se": float(se[j]), "df": one, "t": t, "p": p_t(t, one),
+            "log10_p": log10_t(t, one), "ci_low": float(beta[j]) - half, "ci_high": float(beta[j]) + half,
+            "status": status, "note": note,
+        })  # fmt: skip
+    return rows
+
+
+def _exact_row(term: str, estimate: float, rounding: float) -> dict[str, Any]:
+    """A coefficient of data without any error."""
+    row = _nothing(term, UNDEFINED, "neither the response nor its error varies")
+    row |= {"estimate": estimate, "se": 0.0}
+    if abs(estimate) > rounding:
+        row |= {"t": math.copysign(math.inf, estimate), "p": 0.0, "log10_p": -math.inf, "ci_low": estimate}
+        row |= {"ci_high": estimate, "status": ZERO_ERROR_VARIANCE, "note": "the fixed effects leave no error"}
+    return row
+
+
+def _nothing(term: str, status: str, note: str) -> dict[str, Any]:
+    return {"term": term, **dict.fromkeys(COLUMNS[1:], math.nan), "status": status, "note": note}
+
+
+def _least_squares_attrs(
+    attrs: dict[str, Any], y: np.ndarray, rss: float, variance: float, n: int, p: int, scale: float, intercept: bool
+) -> None:
+    """Residual SD, R squared and the overall F of ordinary least squares."""
+    centre = math.fsum(y) / n if intercept else 0.0
+    total = math.fsum((y - centre) ** 2)
+    df1 = p - int(intercept)
+    attrs |= {
+        "sigma": math.sqrt(variance) * scale,
+        "r_squared": 1 - rss / total if total > 0 else math.nan,
+        "log_likelihood": -0.5 * n * (math.log(2 * math.pi * rss / n) + 1) - n * math.log(scale),
+    }
+    if df1 > 0 and total > rss:
+        attrs |= {"F": (total - rss) / df1 / variance, "df": [df1, n - p]}

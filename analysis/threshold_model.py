@@ -1,0 +1,239 @@
+"""Likelihood of threshold models, P = F(a) - F(b), with or without a random intercept by adaptive quadrature.
+
+An observation has an upper bound a = A phi - s u and a lower one b = B phi - s u, either of which may be infinite; u is
+standard normal and shared by a group, s its standard deviation. Cumulative link models are of this form, and so is
+binary regression (one bound, at 0). Integrals over u use adaptive Gauss-Hermite quadrature (Liu & Pierce 1994;
+Pinheiro & Bates 1995); gradients come from Fisher's identity at the same nodes.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import optimize, special
+
+LINKS = ("logit", "probit", "cloglog")
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """``upper``, ``lower`` (rows, parameters), and where they are infinite."""
+
+    upper: np.ndarray
+    lower: np.ndarray
+    no_upper: np.ndarray
+    no_lower: np.ndarray
+
+
+@dataclass(frozen=True)
+class ThresholdFit:
+    """Estimates, covariance (without the SD's row), log-likelihood; ``sd`` of the random intercept and its error."""
+
+    phi: np.ndarray
+    covariance: np.ndarray
+    log_likelihood: float
+    sd: float
+    sd_se: float
+    converged: bool
+
+
+def _distribution(x: np.ndarray, link: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """F, 1 - F, density and its derivative."""
+    if link == "logit":
+        p, q = special.expit(x), special.expit(-x)
+        return p, q, p * q, p * q * (q - p)
+    if link == "probit":
+        f = np.exp(-x * x / 2) / math.sqrt(2 * math.pi)
+        return special.ndtr(x), special.ndtr(-x), f, -x * f
+    e = np.exp(np.clip(x, -700, 700))
+    q = np.exp(-e)
+    f = np.where(q > 0, e * q, 0.0)
+    return -np.expm1(-e), q, f, np.where(f > 0, f * (1 - e), 0.0)
+
+
+def point_terms(
+    a: np.ndarray, b: np.ndarray, no_upper: np.ndarray, no_lower: np.ndarray, link: str
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """log P, its derivatives by a and b, and second ones (aa, bb, ab)."""
+    far = 40.0 if link != "cloglog" else 600.0
+    a, b = np.clip(a, -far, far), np.clip(b, -far, far)
+    fa, qa, da, ca = _distribution(a, link)
+    fb, qb, db, cb = _distribution(b, link)
+    da, ca = np.where(no_upper, 0.0, da), np.where(no_upper, 0.0, ca)
+    db, cb = np.where(no_lower, 0.0, db), np.where(no_lower, 0.0, cb)
+    fa, qa = np.where(no_upper, 1.0, fa), np.where(no_upper, 0.0, qa)
+    fb, qb = np.where(no_lower, 0.0, fb), np.where(no_lower, 1.0, qb)
+    # The difference on the side where it keeps its digits.
+    p = np.maximum(np.where(fb > 0.5, qb - qa, fa - fb), 1e-300)
+    ga, gb = da / p, -db / p
+    return np.log(p), ga, gb, ca / p - ga * ga, -cb / p - gb * gb, -ga * gb
+
+
+def separation_direction(bounds: Bounds) -> np.ndarray | None:
+    """A direction along which no observation becomes less likely and some more (no finite maximum), or None."""
+    rows = np.vstack([bounds.upper[~bounds.no_upper], -bounds.lower[~bounds.no_lower]])
+    if rows.size == 0:
+        return None
+    rows = np.unique(np.round(rows, 12), axis=0)
+    scale = np.max(np.abs(rows), axis=0)
+    scale[scale == 0] = 1.0
+    rows = rows / scale
+    found = optimize.linprog(
+        -rows.sum(axis=0), A_ub=-rows, b_ub=np.zeros(len(rows)), bounds=[(-1, 1)] * rows.shape[1], method="highs"
+    )
+    if found.status != 0 or not -found.fun > 1e-7:
+        return None
+    return np.asarray(found.x) / scale
+
+
+def fit_fixed(bounds: Bounds, start: np.ndarray, link: str) -> ThresholdFit:
+    """Newton's method with step halving; the links' log-likelihoods are concave."""
+
+    def evaluate(phi: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        a, b = bounds.upper @ phi, bounds.lower @ phi
+        crossed = ~bounds.no_upper & ~bounds.no_lower & (a <= b)
+        if crossed.any():
+            return -math.inf, phi, np.zeros((0, 0))
+        value, ga, gb, haa, hbb, hab = point_terms(a, b, bounds.no_upper, bounds.no_lower, link)
+        u, l = bounds.upper, bounds.lower
+        cross = u.T @ (hab[:, None] * l)
+        hessian = u.T @ (haa[:, None] * u) + l.T @ (hbb[:, None] * l) + cross + cross.T
+        return float(value.sum()), u.T @ ga + l.T @ gb, -hessian
+
+    phi = start.copy()
+    value, gradient, information = evaluate(phi)
+    converged = False
+    for _ in range(100):
+        step = np.linalg.lstsq(information, gradient, rcond=None)[0]
+        factor = min(1.0, 5.0 / max(float(np.max(np.abs(step), initial=0.0)), 1e-300))
+        while factor > 1e-10:
+            new = evaluate(phi + factor * step)
+            if new[0] >= value - 1e-13 * abs(value):
+                phi = phi + factor * step
+                value, gradient, information = new
+                break
+            factor /= 2
+        if float(np.max(np.abs(step), initial=0.0)) < 1e-9 * (1 + float(np.max(np.abs(phi), initial=0.0))):
+            converged = True
+            break
+        if factor <= 1e-10:
+            converged = float(np.max(np.abs(gradient))) < 1e-6 * (1 + abs(value))
+            break
+    covariance = np.linalg.pinv(information, hermitian=True)
+    return ThresholdFit(phi, covariance, value, 0.0, 0.0, converged)
+
+
+class Quadrature:
+    """Log-likelihood and gradient of a model with one random intercept; keeps each group's mode between calls."""
+
+    def __init__(self, bounds: Bounds, groups: np.ndarray, link: str, nodes: int) -> None:
+        self.bounds, self.link = bounds, link
+        order = np.argsort(groups, kind="stable")
+        self.bounds = Bounds(*(part[order] for part in (bounds.upper, bounds.lower, bounds.no_upper, bounds.no_lower)))
+        self.codes = groups[order]
+        self.starts = np.flatnonzero(np.diff(self.codes, prepend=-1))
+        self.t, weight = special.roots_hermite(nodes)
+        self.log_weight = np.log(weight) + self.t**2
+        self.mode = np.zeros(len(self.starts))
+
+    def _sum(self, values: np.ndarray) -> np.ndarray:
+        return np.add.reduceat(values, self.starts, axis=0)
+
+    def _terms(self, a: np.ndarray, b: np.ndarray, shift: np.ndarray) -> tuple[np.ndarray, ...]:
+        flags = (self.bounds.no_upper, self.bounds.no_lower)
+        if shift.ndim == 2:
+            a, b, flags = a[:, None], b[:, None], (flags[0][:, None], flags[1][:, None])
+        return point_terms(a - shift, b - shift, *flags, self.link)
+
+    def evaluate(self, phi: np.ndarray, sd: float) -> tuple[float, np.ndarray]:
+        """Log-likelihood and its gradient by (phi, sd)."""
+        a, b = self.bounds.upper @ phi, self.bounds.lower @ phi
+        u, curve = self._modes(a, b, sd)
+        tau = 1 / np.sqrt(curve)
+        points = u[:, None] + math.sqrt(2) * tau[:, None] * self.t
+        value, ga, gb, *_ = self._terms(a, b, sd * points[self.codes])
+        joint = self._sum(value) - points**2 / 2 + self.log_weight
+        total = special.logsumexp(joint, axis=1)
+        log_likelihood = float(np.sum(total + np.log(tau) - 0.5 * math.log(math.pi)))
+        posterior = np.exp(joint - total[:, None])[self.codes]
+        mean_a, mean_b = np.sum(posterior * ga, axis=1), np.sum(posterior * gb, axis=1)
+        by_sd = -float(np.sum(posterior * (ga + gb) * points[self.codes]))
+        gradient = self.bounds.upper.T @ mean_a + self.bounds.lower.T @ mean_b
+        return log_likelihood, np.append(gradient, by_sd)
+
+    def _modes(self, a: np.ndarray, b: np.ndarray, sd: float) -> tuple[np.ndarray, np.ndarray]:
+        """Most likely u of every group and the curvature there, by Newton's method (concave in u)."""
+        u = self.mode
+        for _ in range(60):
+            _, ga, gb, haa, hbb, hab = self._terms(a, b, sd * u[self.codes])
+            slope = -sd * self._sum(ga + gb) - u
+            curve = 1.0 - sd * sd * self._sum(haa + hbb + 2 * hab)
+            step = slope / curve
+            u = u + np.clip(step, -3.0, 3.0)
+            if float(np.max(np.abs(step))) < 1e-10:
+                break
+        self.mode = u
+        return u, curve
+
+
+def fit_mixed(
+    bounds: Bounds, groups: np.ndarray, fixed: ThresholdFit, link: str, nodes: int, thresholds: int
+) -> ThresholdFit:
+    """Maximum likelihood with a random intercept, from the fit without; the first ``thresholds`` of phi are ordered."""
+    quadrature = Quadrature(bounds, groups, link, nodes)
+
+    def natural(work: np.ndarray) -> np.ndarray:
+        phi = work[:-1].copy()
+        if thresholds > 1:
+            phi[1:thresholds] = phi[0] + np.cumsum(np.exp(np.minimum(work[1:thresholds], 50.0)))
+        return phi
+
+    def objective(work: np.ndarray) -> tuple[float, np.ndarray]:
+        value, gradient = quadrature.evaluate(natural(work), work[-1])
+        turned = gradient.copy()
+        if thresholds > 1:
+            turned[0] = gradient[:thresholds].sum()
+            turned[1:thresholds] = np.cumsum(gradient[1:thresholds][::-1])[::-1] * np.exp(work[1:thresholds])
+        return -value, -turned
+
+    start = np.append(fixed.phi, 0.7)
+    if thresholds > 1:
+        start[1:thresholds] = np.log(np.diff(fixed.phi[:thresholds]))
+    found = optimize.minimize(objective, start, jac=True, method="BFGS", options={"gtol": 1e-6, "maxiter": 500})
+    theta = np.append(natural(found.x), abs(found.x[-1]))
+    value, gradient = quadrature.evaluate(theta[:-1], theta[-1])
+    if theta[-1] < 1e-3 or value <= fixed.log_likelihood + 1e-9:
+        return ThresholdFit(fixed.phi, fixed.covariance, fixed.log_likelihood, 0.0, math.nan, fixed.converged)
+    for _ in range(4):
+        # Newton steps on the gradient, with its own numerical derivative, to the last digits.
+        hessian = _derivative(quadrature, theta)
+        step = np.linalg.lstsq(-hessian, gradient, rcond=None)[0]
+        trial = theta + step
+        ordered = thresholds < 2 or bool(np.all(np.diff(trial[:thresholds]) > 0))
+        if not ordered or trial[-1] <= 0 or float(np.max(np.abs(step))) > 1.0:
+            break
+        new_value, new_gradient = quadrature.evaluate(trial[:-1], trial[-1])
+        if not np.max(np.abs(new_gradient)) < np.max(np.abs(gradient)):
+            break
+        theta, value, gradient = trial, new_value, new_gradient
+        if float(np.max(np.abs(step))) < 1e-9:
+            break
+    covariance = np.linalg.pinv(-_derivative(quadrature, theta), hermitian=True)
+    converged = bool(np.max(np.abs(gradient)) < 1e-4 * (1 + abs(value)) ** 0.5)
+    sd_se = math.sqrt(max(float(covariance[-1, -1]), 0.0))
+    return ThresholdFit(theta[:-1], covariance[:-1, :-1], value, float(theta[-1]), sd_se, converged)
+
+
+def _derivative(quadrature: Quadrature, theta: np.ndarray) -> np.ndarray:
+    """Central differences of the gradient, symmetrised."""
+    size = len(theta)
+    hessian = np.zeros((size, size))
+    for j in range(size):
+        h = 1e-4 * max(1.0, abs(theta[j]))
+        up, down = theta.copy(), theta.copy()
+        up[j] += h
+        down[j] -= h
+        hessian[j] = (quadrature.evaluate(up[:-1], up[-1])[1] - quadrature.evaluate(down[:-1], down[-1])[1]) / (2 * h)
+    return (hessian + hessian.T) / 2
