@@ -2,7 +2,7 @@
 
 The memory is an anonymous `multiprocessing` RawArray: it vanishes with the last process that maps it, and
 kill -9 leaves nothing behind. Counters are 64-bit and only ever written by one side; the record is stored before the
-counter that publishes it (x86-64 and the interpreter's own locks keep that order; a counter is one aligned 8-byte store).
+counter that publishes it (x86-64 and the interpreter's locks keep that order; a counter is one aligned 8-byte store).
 """
 
 from __future__ import annotations

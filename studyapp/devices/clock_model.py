@@ -4,7 +4,7 @@ Two kinds of evidence. *Round trips*: the device was asked for its time; the ans
 asking and answer, so its error is at most half the window, and short windows weigh most. *Arrivals*: the device stamps
 what it sends, and it arrives later by the transport's delay. Delays are never negative, so the earliest arrivals
 bound the clock from above (``delay='one_sided'``: the supporting line under all points, Moon, Skelly & Towsley 1999);
-where the jitter is known to be symmetric about a known mean, all arrivals count (``delay='symmetric'``: robust least squares).
+where the jitter is known to be symmetric, all arrivals count (``delay='symmetric'``: robust least squares).
 """
 
 from __future__ import annotations
