@@ -83,12 +83,14 @@ def certify(
     nominal = display.nominal_hz if nominal_hz is None else nominal_hz
     nominal_ns = float(1_000_000_000 / nominal)
     # As Psychtoolbox does: a busy machine gets another try, and the certificate says how many it took.
-    for attempt in range(1, ATTEMPTS + 1):
+    attempts = 0
+    while True:
+        attempts += 1
         with undisturbed():
             stamps, numbers = measure(display, refreshes)
         fit = fit_period(stamps, nominal_ns, numbers)
         reasons = why_not_locked(fit, nominal)
-        if not reasons or fit.fell_through > refreshes // 10:
+        if not reasons or attempts == ATTEMPTS or fit.fell_through > refreshes // 10:
             break
     use_period = getattr(display, "use_period", None)
     if use_period is not None and isfinite(fit.residual_sd_ns):
@@ -106,7 +108,7 @@ def certify(
         lost=fit.lost,
         outliers=fit.outliers,
         refreshes=fit.refreshes,
-        attempts=attempt,
+        attempts=attempts,
         stamp_class=display.stamp_class,
         stamp_source=str(getattr(display, "stamp_source", display.stamp_class)),
         display=display.description,

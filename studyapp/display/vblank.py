@@ -37,6 +37,7 @@ class VblankGrid:
         self.index = -1
         self._anchor_ns = 0
         self._rest_ns = 0.0  # sub-nanosecond part of the anchor, kept apart: a float64 of session ns would lose it
+        self._last_ns = 0
         self._suspects: list[float] = []
 
     def due_ns(self, steps: int = 1) -> int:
@@ -46,20 +47,23 @@ class VblankGrid:
     def place(self, shown_ns: int) -> tuple[int, int, int, int]:
         """(index, due_ns, missed, FLIP_* flags) of a swap that was shown at ``shown_ns``."""
         if self.index < 0:
-            self.index, self._anchor_ns = 0, shown_ns
+            self.index, self._anchor_ns, self._last_ns = 0, shown_ns, shown_ns
             return 0, shown_ns, 0, 0
         period = self.period_ns
         gap = (shown_ns - self._anchor_ns) - self._rest_ns
         steps = round(gap / period)
-        if steps < 1:
-            # Nearer to the refresh already shown: the swap did not wait for the next one.
+        off_grid = abs(gap - steps * period) > SLIP_LIMIT * period
+        hurried = off_grid and shown_ns - self._last_ns < 0.5 * period
+        self._last_ns = shown_ns
+        if steps < 1 or hurried:
+            # Nearer to the refresh already shown, or on the heels of another swap: it did not wait for the next one.
             return self.index, self.due_ns(1), 0, FLIP_EARLY
         flags = FLIP_LATE if gap > (steps - 1 + self.slack) * period else 0
         residual = gap - steps * period
         due = self.due_ns(steps)
         self._advance(steps * period)
         self.index += steps
-        if abs(residual) <= SLIP_LIMIT * period:
+        if not off_grid:
             # An ordinary stamp: follow the crystal slowly.
             self._suspects.clear()
             self._advance(PHASE_GAIN * residual)
@@ -71,7 +75,7 @@ class VblankGrid:
     def leap(self, steps: int, anchor_ns: int) -> None:
         """Take ``steps`` faultless refreshes at once, the last of them at ``anchor_ns`` (virtual display only)."""
         self.index += steps
-        self._anchor_ns, self._rest_ns = anchor_ns, 0.0
+        self._anchor_ns, self._rest_ns, self._last_ns = anchor_ns, 0.0, anchor_ns
         self._suspects.clear()
 
     def _suspect(self, residual: float) -> int:

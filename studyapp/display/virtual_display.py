@@ -31,8 +31,8 @@ class Fault:
 def random_faults(
     swaps: int, rng: np.random.Generator, miss: float = 0.0, early: float = 0.0, slip: float = 0.0
 ) -> dict[int, Fault]:
-    """A script with the given probabilities a swap. Slips stand at least 8 swaps from any other fault: a slip is
-    told from a late stamp by what follows it."""
+    """A script with the given probabilities a swap. Slips stand at least 8 swaps from any other fault (a slip is told
+    from a late stamp by what follows it), and no more than two early swaps follow one another (three fill a period)."""
     draws = rng.random(swaps)
     faults: dict[int, Fault] = {}
     blocked_until = 0
@@ -42,8 +42,10 @@ def random_faults(
         if draws[swap] < miss:
             faults[swap] = Fault("miss", int(rng.integers(1, 6)))
         elif draws[swap] < miss + early:
+            if all(faults.get(near, Fault("miss")).kind == "early" for near in (swap - 1, swap - 2)):
+                continue
             faults[swap] = Fault("early", float(rng.uniform(0.05, 0.4)))
-        elif not any(near in faults for near in range(swap - 8, swap)):
+        elif swap < swaps - 8 and not any(near in faults for near in range(swap - 8, swap)):
             faults[swap] = Fault("slip", float(rng.choice([-1, 1]) * rng.uniform(0.2, 0.4)))
             blocked_until = swap + 8
     return faults
@@ -78,7 +80,7 @@ class VirtualDisplay:
         self._swap = 0
         self._true_index = -1  # the raster's own count, which the grid must find
         self._slipped_ns = 0
-        self._now_ns = start_ns
+        self._now_ns = start_ns - 1
 
     @property
     def period_ns(self) -> float:
