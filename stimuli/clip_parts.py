@@ -18,13 +18,13 @@ from typing import Any
 
 import numpy as np
 
-from stimuli.clip import COST, Clip, ClipStore, frame_name, request_from_dict, sha256_of, write_json
+from stimuli.clip import COST, Clip, ClipStore, frame_name, sha256_of, write_json
 from stimuli.clip_request import ClipRequest
 from stimuli.displayed_light import BINS, Light, join, measure_light, summarise
 from stimuli.errors import InputError, problem
 from stimuli.exr import write_exr
 
-PART, LIGHT, JOB = "part.json", "light.npz", "job.json"
+PART, LIGHT = "part.json", "light.npz"
 
 
 @dataclass(frozen=True)
@@ -67,15 +67,23 @@ class PartWriter:
         self._store, self._request, self._first = store, request, first
         self._files: list[dict[str, Any]] = []
         self._costs: list[FrameCost] = []
+        self._facts: dict[str, dict[str, float]] = {}
         self._channels: list[str] | None = None
         self._totals: list[float] = []
         self._clipped: list[int] = []
         self._histogram = np.zeros(BINS, np.uint64)
 
     def add(
-        self, color: np.ndarray, channels: Mapping[str, np.ndarray] | None = None, cost: FrameCost | None = None
+        self,
+        color: np.ndarray,
+        channels: Mapping[str, np.ndarray] | None = None,
+        cost: FrameCost | None = None,
+        facts: Mapping[str, float] | None = None,
     ) -> None:
-        """Store the next frame: (H, W, 3) linear colour and optional (H, W) channels, the same in every frame."""
+        """Store the next frame: (H, W, 3) linear colour and optional (H, W) channels, the same in every frame.
+
+        ``facts`` are numbers that follow from the request (a measured error); the manifest lists them by frame.
+        """
         width, height = self._request.size_px
         if color.shape != (height, width, 3):
             raise InputError(problem(self._request.scene, "frame shape", color.shape, (height, width, 3)))
@@ -94,6 +102,8 @@ class PartWriter:
         self._totals.append(total)
         self._clipped.append(clipped)
         self._costs.append(cost or FrameCost())
+        if facts:
+            self._facts[str(index)] = dict(facts)
 
     def publish(self, name: str) -> Path:
         """Make the part visible under ``name``; where it is there already, this one is thrown away."""
@@ -106,6 +116,7 @@ class PartWriter:
             "files": self._files,
             "channels": self._channels or [],
             "costs": [asdict(cost) for cost in self._costs],
+            "facts": self._facts,
             "light_sha256": sha256_of(self.building / LIGHT),
         }
         write_json(self.building / PART, part)
@@ -137,22 +148,6 @@ def part_directory(store: ClipStore, identity: str, name: str) -> Path:
 def has_part(store: ClipStore, identity: str, name: str) -> bool:
     """Whether a part was published (it is checked byte by byte when it is joined)."""
     return part_directory(store, identity, name).is_dir()
-
-
-def write_job(store: ClipStore, request: ClipRequest, scene_file: str) -> None:
-    """Leave with the parts what any worker needs: the request, and from where its scene is loaded."""
-    directory = store.root / "parts" / request.identity
-    directory.mkdir(parents=True, exist_ok=True)
-    write_json(directory / JOB, {"request": asdict(request), "scene_file": scene_file})
-
-
-def read_job(store: ClipStore, identity: str) -> tuple[ClipRequest, str]:
-    """(request, scene file) as `write_job` left them; InputError where there is no such job."""
-    path = store.root / "parts" / identity / JOB
-    if not path.is_file():
-        raise InputError(problem(path, "clip in the making", "nothing", "a clip that studyapp render has begun"))
-    data = json.loads(path.read_text())
-    return request_from_dict(data["request"]), str(data["scene_file"])
 
 
 class DamagedPart(InputError):
@@ -199,6 +194,7 @@ def assemble(
     costs: list[dict[str, Any]] = []
     lights: list[Light] = []
     channels: list[str] = []
+    by_frame: dict[str, dict[str, float]] = {}
     for name in names:
         directory = part_directory(store, request.identity, name)
         part, light = _read_part(directory)
@@ -209,6 +205,7 @@ def assemble(
         files += part["files"]
         costs += part["costs"]
         channels = part["channels"]
+        by_frame.update(part["facts"])
         lights.append(light)
     if len(files) != request.frame_count:
         raise InputError(problem(request.identity, "frames", len(files), request.frame_count))
@@ -219,6 +216,7 @@ def assemble(
         "channels": ["B", "G", "R", *channels],
         "files": files,
         "luminance": summarise(join(lights)),
+        **({"frame_facts": by_frame} if by_frame else {}),
         **(facts or {}),
     }
     clip = store.publish(building, request, manifest)

@@ -60,7 +60,7 @@ class PlayedClip:
 
     def problems(self) -> list[str]:
         """Read every byte (which touches it too) and compare with the checksum; empty where all is well."""
-        found = hashlib.sha256(self._frames.reshape(-1)).hexdigest()
+        found = hashlib.sha256(self._frames.reshape(-1).data).hexdigest()
         if found == self._sha256:
             return []
         return [problem(self.path, "play cache", f"sha256 {found[:12]}...", f"{self._sha256[:12]}...")]
@@ -135,8 +135,8 @@ def write_play_cache(path: Path, clip: Clip, table: DisplayTable | None = None) 
                     got = "no R, G and B" if color is None else color.shape
                     raise InputError(problem(clip.frame_path(index), "frame", got, (height, width, 3)))
                 encode(color, clip.request.exposure, clip.request.tone, table, codes)
-                digest.update(codes)
-                file.write(codes)
+                digest.update(codes.data)
+                file.write(codes.data)
             header = {
                 "clip": clip.identity,
                 "size_px": [width, height],

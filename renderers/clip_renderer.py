@@ -1,0 +1,287 @@
+"""The frames of a stored clip: scene, camera path, gaze, warm-up and loop, as its request says.
+
+A technique with memory is first shown ``warm_up_s`` of what comes before frame 0 (`render_clip` does not do that). A
+closed loop is a scene that comes back after the clip's duration; it is warmed up by whole periods, so that frame 0
+follows on the last frame.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from renderers.backend import dr
+from renderers.catalogue import CATALOGUE, TECHNIQUES
+from renderers.engine import Engine
+from renderers.reference import ReferenceRenderer
+from renderers.render_clip import technique_params
+from renderers.render_unit import RenderedFrame
+from renderers.technique import Frame, Gaze, Technique, View, ViewGeometry
+from renderers.units import Unit, block_sizes, twin_seed
+from stimuli.camera_path import PATH_NAMES, camera_path, read_camera_path
+from stimuli.clip_job import ClipJob
+from stimuli.clip_parts import FrameCost
+from stimuli.clip_request import ClipRequest
+from stimuli.errors import InputError, problem
+from stimuli.load import load_scene
+from stimuli.scene import CameraPath, PoseTrack, Scene
+
+LOOP_TOLERANCE = 1e-4
+"""Largest difference of a pose's entries, as a share of the largest entry, over which a loop counts as closed."""
+
+
+@dataclass(frozen=True)
+class LoopTrack:
+    """A track that begins again every ``period_s`` after ``start_s``, before it too."""
+
+    track: PoseTrack
+    start_s: float
+    period_s: float
+
+    def pose(self, time_s: np.ndarray) -> np.ndarray:
+        """(T,) seconds -> (T, 4, 4)."""
+        return self.track.pose(self.start_s + np.mod(np.asarray(time_s, np.float64) - self.start_s, self.period_s))
+
+
+@dataclass(frozen=True)
+class LoopCamera:
+    """The same for a camera."""
+
+    camera: CameraPath
+    start_s: float
+    period_s: float
+
+    @property
+    def yfov_rad(self) -> float:
+        """The camera's own field."""
+        return self.camera.yfov_rad
+
+    @property
+    def name(self) -> str:
+        """The camera's own name."""
+        return self.camera.name
+
+    def pose(self, time_s: np.ndarray) -> np.ndarray:
+        """(T,) seconds -> (T, 4, 4)."""
+        return LoopTrack(self.camera, self.start_s, self.period_s).pose(time_s)
+
+
+def keyed_camera(scene: Scene, keys: str) -> CameraPath:
+    """The camera of a protocol's keyframes: JSON list of {time_s, position, look_at, yfov_deg}."""
+    entries: list[dict[str, Any]] = json.loads(keys)
+    fields = [entry.pop("yfov_deg", None) for entry in entries]
+    tree: dict[str, Any] = {"keys": [{**entry, "time_s": float(entry["time_s"])} for entry in entries]}
+    if given := [value for value in fields if value is not None]:
+        tree["yfov_deg"] = given[0]
+    with TemporaryDirectory() as directory:  # the reader of path files checks every key
+        file = Path(directory) / "protocol_keys.json"
+        file.write_text(json.dumps(tree))
+        return read_camera_path(file, scene.camera.yfov_rad)
+
+
+def scene_and_camera(job: ClipJob) -> tuple[Scene, CameraPath]:
+    """What the clip shows. InputError where the scene is not the one that the request names."""
+    request = job.request
+    scene = load_scene(job.scene_file, animation=request.animation)
+    if scene.sha256 != request.scene_sha256:
+        got = f"content {scene.sha256[:12]}..."
+        raise InputError(problem(job.scene_file, "scene", got, f"{request.scene_sha256[:12]}..., as requested"))
+    if job.path_keys:
+        camera = keyed_camera(scene, job.path_keys)
+    else:
+        camera = camera_path(scene, request.path if request.path in PATH_NAMES else job.path_file or request.path)
+    return closed_loop(scene, camera, request) if request.loop == "closed" else (scene, camera)
+
+
+def closed_loop(scene: Scene, camera: CameraPath, request: ClipRequest) -> tuple[Scene, CameraPath]:
+    """Scene and camera made periodic with the clip's duration; InputError where something does not come back."""
+    frames, rate = request.frame_count, Fraction(request.rate_hz)
+    start, period = float(Fraction(request.start_s)), float(frames / rate)
+    tracks: list[tuple[str, PoseTrack]] = [("camera", camera)]
+    tracks += [(f"mover {mover.name}", mover.track) for mover in scene.movers]
+    tracks += [(f"light {light.name}", light.track) for light in scene.lights if light.track is not None]
+    for name, track in tracks:
+        first, last = track.pose(np.array([start, start + period]))
+        if np.abs(first - last).max() > LOOP_TOLERANCE * max(1.0, float(np.abs(first).max())):
+            got = f"{name} is elsewhere after {period:g} s"
+            raise InputError(problem(request.scene, "closed loop", got, "a path whose period is the clip's duration"))
+    for mover in scene.movers:
+        if not (mover.visible_s[0] <= start and mover.visible_s[1] >= start + period):
+            raise InputError(
+                problem(request.scene, "closed loop", f"mover {mover.name} comes or goes", "none that does")
+            )
+    looped = replace(
+        scene,
+        movers=tuple(replace(mover, track=LoopTrack(mover.track, start, period)) for mover in scene.movers),
+        lights=tuple(
+            light if light.track is None else replace(light, track=LoopTrack(light.track, start, period))
+            for light in scene.lights
+        ),
+    )
+    return looped, LoopCamera(camera, start, period)
+
+
+def warm_up_frames(request: ClipRequest) -> int:
+    """Frames before frame 0 that are rendered and thrown away; whole periods for a closed loop."""
+    wanted = round(Fraction(request.warm_up_s) * Fraction(request.rate_hz))
+    if request.loop != "closed":
+        return wanted
+    return max(1, math.ceil(wanted / request.frame_count)) * request.frame_count
+
+
+def gaze_of(request: ClipRequest, scene: Scene, camera: CameraPath, t1: Fraction) -> Gaze | None:
+    """Where the eye looks at ``t1``: the request's fixed direction, or the scene's fixation target ('moving')."""
+    if request.gaze != "moving":
+        return request.gaze if isinstance(request.gaze, tuple) else None
+    targets = [mover for mover in scene.movers if "target" in mover.name.lower()]
+    if not targets:
+        raise InputError(
+            problem(request.scene, "moving gaze", "no mover called target", "a scene with a fixation target")
+        )
+    at = np.array([float(t1)])
+    own = np.linalg.inv(camera.pose(at)[0]) @ targets[0].track.pose(at)[0][:, 3]
+    if own[2] >= 0:
+        raise InputError(
+            problem(request.scene, "moving gaze", f"the target is behind the eye at {float(t1):g} s", "in front")
+        )
+    x, y = own[0] / -own[2], own[1] / -own[2]
+    if request.geometry is not None:
+        # The picture's plane stands at the screen: its half height is tan(yfov / 2) in front of a pinhole.
+        geometry = ViewGeometry(*request.geometry[:3], (request.geometry[3], request.geometry[4]))
+        half = math.tan(camera.yfov_rad / 2)
+        x = (x / half * geometry.height_m / 2 + geometry.offset_m[0]) / geometry.distance_m
+        y = (y / half * geometry.height_m / 2 + geometry.offset_m[1]) / geometry.distance_m
+    return math.degrees(math.atan(x)), math.degrees(math.atan(y))
+
+
+class ClipRenderer:
+    """Renders units; the scene and the engine of the last clip stay, so that a clip's units share their kernels."""
+
+    def __init__(self, threads: int | None) -> None:
+        if threads is not None:
+            dr.set_thread_count(threads)
+            import numba
+
+            numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
+        self._key: tuple[Any, ...] = ()
+        self._held: tuple[Scene, CameraPath, Engine] | None = None
+        self._techniques: dict[tuple[str, int], Technique] = {}
+
+    def _prepared(self, job: ClipJob) -> tuple[Scene, CameraPath, Engine]:
+        """Scene, camera and engine of ``job``."""
+        request = job.request
+        loop = (request.start_s, request.duration_s, request.rate_hz) if request.loop == "closed" else None
+        key = (
+            job.scene_file, request.scene_sha256, request.animation, request.path, job.path_keys, request.lighting, loop
+        )  # fmt: skip
+        if self._held is None or key != self._key:
+            scene, camera = scene_and_camera(job)
+            self._held = scene, camera, Engine(scene, lighting=request.lighting)  # type: ignore[arg-type]
+            self._key = key
+            self._techniques = {}
+        return self._held
+
+    def _technique(self, request: ClipRequest, engine: Engine, seed: int) -> Technique:
+        """The technique of ``request`` with ``seed``, made once a clip and reset for each unit."""
+        key = request.identity, seed
+        if key not in self._techniques:
+            if not any(kept == request.identity for kept, _ in self._techniques):
+                self._techniques.clear()
+            params = technique_params(request.technique, request.params)
+            self._techniques[key] = TECHNIQUES[request.technique](engine, request.size_px, params, seed, "total")
+        self._techniques[key].reset(seed)
+        return self._techniques[key]
+
+    def frames(self, job: ClipJob, unit: Unit) -> Iterator[RenderedFrame]:
+        """The frames of ``unit``: see `renderers.render_unit.UnitRenderer`."""
+        request = job.request
+        scene, camera, engine = self._prepared(job)
+        entry = CATALOGUE[request.technique]
+        if entry.averages:
+            yield from self._averaged(request, unit, scene, camera, engine)
+            return
+        technique = self._technique(request, engine, request.seed)
+        before = 0 if entry.stateless else warm_up_frames(request)
+        for k in range(unit.first - before, unit.stop):
+            view = view_of(request, scene, camera, k, before, cut=k == unit.first - before)
+            frame = technique.render(view)
+            if k >= unit.first:
+                yield RenderedFrame(k, (_color(frame),), (1,), _channels(request, frame), _cost(frame))
+
+    def _averaged(
+        self, request: ClipRequest, unit: Unit, scene: Scene, camera: CameraPath, engine: Engine
+    ) -> Iterator[RenderedFrame]:
+        """Frames of the reference in sample blocks; a second picture of three frames where there is but one block."""
+        technique = self._technique(request, engine, request.seed)
+        assert isinstance(technique, ReferenceRenderer)
+        sizes = block_sizes(int(request.params["spp"]))
+        low, high = unit.blocks or (0, len(sizes))
+        probes = {0, request.frame_count // 2, request.frame_count - 1} if len(sizes) == 1 else set()
+        for k in range(unit.first, unit.stop):
+            view = view_of(request, scene, camera, k, 0, cut=True)
+            frames = []
+            for block in range(low, high):
+                frame = technique.render_samples(view, sum(sizes[:block]), sizes[block])
+                frames.append((_color(frame), _channels(request, frame), _cost(frame)))
+            twin = None
+            if k in probes:
+                other = self._technique(request, engine, twin_seed(request.seed))
+                twin = _color(other.render(view))
+            yield RenderedFrame(
+                k, tuple(color for color, _, _ in frames), sizes[low:high], frames[0][1],
+                total_cost([cost for _, _, cost in frames]), twin,
+            )  # fmt: skip
+
+
+def view_of(request: ClipRequest, scene: Scene, camera: CameraPath, k: int, before: int, cut: bool) -> View:
+    """Frame ``k`` of the clip (negative: warm-up), as the technique sees it: its index counts from the warm-up's start."""
+    rate = Fraction(request.rate_hz)
+    t1 = Fraction(request.start_s) + k / rate
+    geometry = request.geometry
+    return View(
+        index=k + before,
+        t0=t1 - 1 / rate,
+        t1=t1,
+        size_px=request.size_px,
+        camera=camera,
+        gaze=gaze_of(request, scene, camera, t1),
+        geometry=None if geometry is None else ViewGeometry(*geometry[:3], (geometry[3], geometry[4])),
+        exposure=request.exposure,
+        tone=request.tone,
+        cut=cut,
+    )
+
+
+def total_cost(costs: list[FrameCost]) -> FrameCost:
+    """The cost of several renders of one frame."""
+    return FrameCost(
+        {key: sum(cost.seconds[key] for cost in costs) for key in costs[0].seconds},
+        {kind: sum(cost.rays[kind] for cost in costs) for kind in costs[0].rays},
+        sum(cost.clamped for cost in costs),
+    )
+
+
+def _color(frame: Frame) -> np.ndarray:
+    return np.array(frame.color, np.float32)
+
+
+def _cost(frame: Frame) -> FrameCost:
+    rays = {kind: int(count) for kind, count in frame.rays.items()}
+    return FrameCost({stage: float(s) for stage, s in frame.seconds.items()}, rays, int(frame.clamped))
+
+
+def _channels(request: ClipRequest, frame: Frame) -> dict[str, np.ndarray]:
+    """The channels that the request asks for (``extra``: {"channels": [...]})."""
+    wanted = list(request.extra.get("channels", ()))
+    if missing := [name for name in wanted if name not in frame.channels]:
+        has = " ".join(frame.channels) or "none"
+        raise InputError(problem(request.technique, "channels", ", ".join(missing), f"those it makes: {has}"))
+    return {name: np.array(frame.channels[name]) for name in wanted}
