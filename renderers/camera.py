@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from renderers.backend import dr, mi
+from renderers.frozen import opaque_float
 from renderers.poses import Pose, Poses, pose_at, pose_at_start
 from renderers.space import TracerSpace
 from stimuli.errors import InputError, problem
@@ -50,14 +51,14 @@ def camera_state(camera: CameraPath, space: TracerSpace, times_s: np.ndarray, si
     matrices[0, :, :, 3] = space.points(poses[:, :3, 3])
     return CameraState(
         poses=Poses(
-            span_s=mi.Float([float(times_s[0] - times_s[-1])]),
-            forward=mi.Float(matrices.astype(np.float32).ravel()),
-            window=mi.Float([-np.inf, np.inf]),
+            span_s=opaque_float(float(times_s[0] - times_s[-1])),
+            forward=opaque_float(matrices),
+            window=opaque_float([-np.inf, np.inf]),
             knots=len(times_s),
         ),
-        center_x_px=mi.Float([width / 2]),
-        center_y_px=mi.Float([height / 2]),
-        pixel=mi.Float([2 * np.tan(camera.yfov_rad / 2) / height]),
+        center_x_px=opaque_float(width / 2),
+        center_y_px=opaque_float(height / 2),
+        pixel=opaque_float(2 * np.tan(camera.yfov_rad / 2) / height),
     )
 
 

@@ -13,6 +13,7 @@ from typing import Any, Literal
 
 from renderers.backend import dr, mi
 from renderers.camera import CameraState, Ray, camera_state, forward_axis, primary_ray, project
+from renderers.frozen import opaque_float
 from renderers.lights import LightArrays, light_arrays, sorted_lights
 from renderers.materials import MaterialArrays, look_at_hit, material_arrays, opacity
 from renderers.motion import background_motion, reflected_motion, surface_motion
@@ -151,12 +152,12 @@ class Engine:
         times_s = knot_times(view.t0, view.t1)
         if self._constants is None:
             to_float = [
-                mi.Color3f(*(mi.Float([float(v)]) for v in rgb)) for rgb in (self.scene.ambient, self.scene.background)
+                mi.Color3f(*(opaque_float(v) for v in rgb)) for rgb in (self.scene.ambient, self.scene.background)
             ]
             self._constants = (
                 *to_float,
-                mi.Float([self.ao_radius * self.space.scale]),
-                mi.Float([1 / self.space.scale]),
+                opaque_float(self.ao_radius * self.space.scale),
+                opaque_float(1 / self.space.scale),
             )
         poses = self.tracer.poses(times_s)
         return EngineState(

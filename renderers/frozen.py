@@ -11,7 +11,9 @@ from collections.abc import Callable
 from dataclasses import fields, is_dataclass
 from typing import Any
 
-from renderers.backend import dr
+import numpy as np
+
+from renderers.backend import dr, mi
 
 MAX_RECORDINGS = 8
 """More recordings than this of one kernel mean that a changing Python value slipped in (each costs 0.1 to 1 s)."""
@@ -68,3 +70,29 @@ class Frozen:
 def frozen(function: Callable[..., Any], max_recordings: int = MAX_RECORDINGS) -> Frozen:
     """``function`` as a `Frozen` kernel."""
     return Frozen(function, max_recordings)
+
+
+_ALIGNMENT_BYTES = 64
+
+
+def aligned(values: Any, kind: Any) -> np.ndarray:
+    """``values`` flat, as ``kind``, at an address that is a multiple of 64 bytes.
+
+    Dr.Jit maps numpy memory as it is, and whether it is aligned is part of a recording.
+    """
+    flat = np.asarray(values, kind).ravel()
+    room = np.empty(flat.nbytes + _ALIGNMENT_BYTES, np.uint8)
+    start = -room.ctypes.data % _ALIGNMENT_BYTES
+    place = room[start : start + flat.nbytes].view(kind)
+    place[:] = flat
+    return place
+
+
+def opaque_float(values: Any) -> Any:
+    """A Float array that lies in memory: its values may change from call to call without a new recording."""
+    return mi.Float(aligned(values, np.float32))
+
+
+def opaque_uint(values: Any) -> Any:
+    """The same for UInt32."""
+    return mi.UInt32(aligned(values, np.uint32))

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from renderers.backend import dr, mi
+from renderers.frozen import opaque_float
 from renderers.requirements import light_kind
 from renderers.space import TracerSpace
 from stimuli.scene import Light, Scene
@@ -106,7 +107,7 @@ def light_arrays(
     kinds = [group.kind for group in groups for _ in range(group.count)]
     rows = [[_row(light, kind, space, t) for light, kind in zip(lights, kinds, strict=True)] for t in (t0_s, t1_s)]
     table = np.array(rows, np.float32).ravel()
-    return LightArrays(mi.Float(table if table.size else np.zeros(2 * ROWS * 4, np.float32)), max(1, len(lights)))
+    return LightArrays(opaque_float(table if table.size else np.zeros(2 * ROWS * 4)), max(1, len(lights)))
 
 
 @dataclass

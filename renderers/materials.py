@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from renderers.backend import dr, mi
+from renderers.frozen import opaque_float
 from renderers.requirements import Requirements, base_rgba, is_cutout, is_see_through, texture_image
 from renderers.surface import Surface
 from renderers.textures import TextureArrays, TextureSource, build_atlas, look_up, source_of
@@ -96,7 +97,7 @@ def material_arrays(materials: tuple[Material, ...]) -> MaterialArrays:
         for m in materials
     ]
     table = np.stack(rows) if rows else np.zeros((1, _ROWS, 4), np.float32)
-    return MaterialArrays(mi.Float(table.astype(np.float32).ravel()), build_atlas(sources))
+    return MaterialArrays(opaque_float(table), build_atlas(sources))
 
 
 def _row_at(arrays: MaterialArrays, material: Any, row: int, active: Any) -> Any:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from renderers.backend import dr, mi
+from renderers.frozen import opaque_float
 from renderers.space import BodySpace, TracerSpace
 from stimuli.scene import Mover
 
@@ -62,9 +63,9 @@ def poses_of(matrices: np.ndarray, movers: tuple[Mover, ...], times_s: np.ndarra
     for m, mover in enumerate(movers):
         window[m + 1] = np.asarray(mover.visible_s) - times_s[-1]
     return Poses(
-        span_s=mi.Float([float(times_s[0] - times_s[-1])]),
-        forward=mi.Float(matrices.astype(np.float32).ravel()),
-        window=mi.Float(window.astype(np.float32).ravel()),
+        span_s=opaque_float(float(times_s[0] - times_s[-1])),
+        forward=opaque_float(matrices),
+        window=opaque_float(window),
         knots=len(times_s),
     )
 

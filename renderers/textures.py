@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from renderers.backend import dr, mi
+from renderers.frozen import opaque_uint
 
 REPEAT, CLAMP, MIRROR = 10497, 33071, 33648  # OpenGL's numbers, as glTF writes them
 _CLAMP_U, _CLAMP_V, _MIRROR_U, _MIRROR_V, _IS_NEAREST, _IS_SRGB = (1 << k for k in range(6))
@@ -128,9 +129,9 @@ def build_atlas(sources: list[TextureSource]) -> TextureArrays:
             texels.append(np.ascontiguousarray(image).view(np.uint32).ravel())
             offset += image.shape[0] * image.shape[1]
     return TextureArrays(
-        texels=mi.UInt32(np.concatenate(texels) if texels else np.zeros(1, np.uint32)),
-        levels=mi.UInt32(np.array(levels or [(0, 1, 1, 0)], np.uint32).ravel()),
-        table=mi.UInt32(np.array(table or [(0, 1, 0, 0)], np.uint32).ravel()),
+        texels=opaque_uint(np.concatenate(texels) if texels else [0]),
+        levels=opaque_uint(levels or [(0, 1, 1, 0)]),
+        table=opaque_uint(table or [(0, 1, 0, 0)]),
     )
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from renderers.backend import activate, dr, mi
-from renderers.frozen import frozen
+from renderers.frozen import frozen, opaque_float, opaque_uint
 from renderers.geometry import Body, pack
 from renderers.poses import Poses, exists_at, pose_at, pose_matrices, poses_of
 from renderers.proxy import ASK_ALL, STEP, box_faces, box_vertices, must_ask, swept_boxes
@@ -78,8 +78,8 @@ def _mesh_scene(positions: np.ndarray, faces: np.ndarray) -> Any:
     """A Mitsuba scene of one triangle mesh (vertex normals and BSDFs are ours to do)."""
     mesh = mi.Mesh("mesh", len(positions), len(faces))
     values = mi.traverse(mesh)
-    values["vertex_positions"] = mi.Float(np.ascontiguousarray(positions, np.float32).ravel())
-    values["faces"] = mi.UInt32(np.ascontiguousarray(faces, np.uint32).ravel())
+    values["vertex_positions"] = opaque_float(positions)
+    values["faces"] = opaque_uint(faces)
     values.update()
     return mi.load_dict({"type": "scene", "embree_use_robust_intersections": True, "mesh": mesh})
 
@@ -115,12 +115,12 @@ class Tracer:
             hidden=scenes.get(True),
             bodies=[_mesh_scene(body.positions, body.faces) for body in self.bodies],
             proxy=proxy,
-            boxes=mi.Float(np.zeros(8 * max(1, len(self.bodies)), np.float32)),
-            body_mover=mi.UInt32(np.array([body.mover for body in self.bodies] or [0], np.uint32)),
-            body_face_base=mi.UInt32(np.array([body.face_base for body in self.bodies] or [0], np.uint32)),
-            vertices=mi.Float(self.geometry.vertices.ravel()),
-            faces=mi.UInt32(self.geometry.faces.ravel()),
-            colors=None if colors is None else mi.Float(colors.ravel()),
+            boxes=opaque_float(np.zeros(8 * max(1, len(self.bodies)))),
+            body_mover=opaque_uint([body.mover for body in self.bodies] or [0]),
+            body_face_base=opaque_uint([body.face_base for body in self.bodies] or [0]),
+            vertices=opaque_float(self.geometry.vertices),
+            faces=opaque_uint(self.geometry.faces),
+            colors=None if colors is None else opaque_float(colors),
         )
         self._interval: tuple[float, ...] | None = None
         self._poses: Poses | None = None
@@ -140,9 +140,9 @@ class Tracer:
                 boxes = swept_boxes(self._own_bounds, matrices[[body.mover for body in self.bodies]])
                 padded = np.zeros((len(boxes), 2, 4), np.float32)
                 padded[..., :3] = boxes
-                self._proxy_values["mesh.vertex_positions"] = mi.Float(box_vertices(boxes))
+                self._proxy_values["mesh.vertex_positions"] = opaque_float(box_vertices(boxes))
                 self._proxy_values.update()
-                self.arrays.boxes = mi.Float(padded.ravel())
+                self.arrays.boxes = opaque_float(padded)
         elif key != self._interval:
             self._poses = poses_of(np.tile(np.eye(3, 4), (1, len(key), 1, 1)), (), np.asarray(times_s, np.float64))
         self._interval = key
@@ -358,9 +358,9 @@ class Tracer:
                 len(rows),
                 self.arrays,
                 poses,
-                mi.Point3f(np.ascontiguousarray(o.T)),
-                mi.Vector3f(np.ascontiguousarray(d.T)),
-                mi.Float(now_s),
+                mi.Point3f(*(opaque_float(column) for column in o.T)),
+                mi.Vector3f(*(opaque_float(column) for column in d.T)),
+                opaque_float(now_s),
             )
             hit_t, p, n, g, uv, m, body = (value.numpy() for value in found)
             seen = np.isfinite(hit_t)
@@ -377,7 +377,7 @@ class Tracer:
         knots = 2 if len(moments) <= 2 else _MOMENTS
         padded = np.append(moments, np.repeat(moments[-1], knots - len(moments)))
         poses = self.poses(padded)
-        even = Poses(mi.Float([1.0 - knots]), poses.forward, poses.window, knots)
+        even = Poses(opaque_float(1.0 - knots), poses.forward, poses.window, knots)
         return even, (which - (knots - 1.0)).astype(np.float32)
 
     def _hits(self, arrays: SceneArrays, poses: Poses, o: Any, d: Any, time_s: Any) -> tuple[Any, ...]:
