@@ -13,9 +13,10 @@ import numpy as np
 from protocols.requests import ClipSpec, clip_spec
 from protocols.study import Study
 from protocols.trial import Trial
+from studyapp.seams import FrameSource
 
 
-@dataclass(frozen=True)
+@dataclass
 class ManifestSource:
     """A `FrameSource` for the virtual display. ``frame`` has nothing to give: LookupError."""
 
@@ -34,7 +35,7 @@ class Manifests:
         self._study = study
         self._known: dict[ClipSpec, ManifestSource] = {}
 
-    def __call__(self, trial: Trial) -> Mapping[str, ManifestSource]:
+    def __call__(self, trial: Trial) -> Mapping[str, FrameSource]:
         """Slot -> source."""
         return {panel.slot: self._source(clip_spec(self._study, trial, panel)) for panel in trial.panels}
 

@@ -108,7 +108,7 @@ def _flips_without_trial(db: sqlite3.Connection, committed: set[int]) -> dict[in
 
 
 def mend(session: Interrupted, observer_kind: str, now_ns: int) -> None:
-    """Give the presentation that was cut short its row (status aborted), and note the interruption. Durable on return."""
+    """Give the presentation that was cut short its row (status aborted), and note the interruption; durable."""
     file = SessionFile(session.path)
     try:
         db = sqlite3.connect(session.path)

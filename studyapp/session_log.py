@@ -73,7 +73,7 @@ class SessionLog(Protocol):
     path: Path
 
     def put(self, row: np.ndarray) -> None:
-        """One FLIP_DTYPE row of the trial begun last (this is the presenter's FlipSink)."""
+        """(N,) FLIP_DTYPE rows of the trial begun last (this is the presenter's FlipSink)."""
         ...
 
     def begin_trial(self, trial: int) -> None:
@@ -142,8 +142,14 @@ class DurableLog:
         return int(self._process.pid)
 
     def put(self, row: np.ndarray) -> None:
-        self._record["flip"] = row
-        self._ring.put(self._record)
+        if len(row) == 1:
+            self._record["flip"] = row[0]
+            self._ring.put(self._record)
+            return
+        # A block comes from the virtual display, between whose phases there is time to allocate.
+        records = np.empty(len(row), FLIP_RING_DTYPE)
+        records["trial"], records["flip"] = self._record["trial"], row
+        self._ring.put_many(records)
 
     def begin_trial(self, trial: int) -> None:
         self._record["trial"] = trial
@@ -236,11 +242,7 @@ class DirectLog:
             raise LogFailed(f"{self.path}: {doing}: got '{error}', wanted a writable disk") from error
 
     def put(self, row: np.ndarray) -> None:
-        self._flips.append(np.array(row, FLIP_DTYPE).reshape(-1))
-
-    def put_many(self, rows: np.ndarray) -> None:
-        """Many FLIP_DTYPE rows of the trial begun last."""
-        self._flips.append(rows)
+        self._flips.append(row.copy())
 
     def begin_trial(self, trial: int) -> None:
         self._flush()

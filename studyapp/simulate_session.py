@@ -55,7 +55,7 @@ class Simulation:
                     certificate=self._certificate,
                     lab=Lab(),
                     provenance=self._provenance,
-                )  # fmt: skip
+                )
             )
             for inclusion in study.participants.inclusion:
                 log.about_self(inclusion.name, json.dumps("simulated: meets the bound"))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal, Protocol
 
 from protocols.trial import Question, Trial
@@ -162,11 +163,14 @@ class TrialRunner:
                 replay=(lambda: self._show(trial, sources, False)) if allowed else None,
                 max_replays=allowed,
                 gaze=self.gaze,
-                on_onset=lambda onset_ns, q=question: self.respondent.asked(trial, q, onset_ns, during=False),
+                on_onset=partial(self._asked, trial, question),
             )
             answers[question.name] = answer
             if answer.aborted or answer.device_lost:
                 return
+
+    def _asked(self, trial: Trial, question: Question, onset_ns: int) -> None:
+        self.respondent.asked(trial, question, onset_ns, during=False)
 
     def _status(self, shown: TrialShown, answers: Mapping[str, Answer]) -> Status:
         if shown.device_lost or any(answer.device_lost for answer in answers.values()):

@@ -84,6 +84,7 @@ def emulate_box(pipe: Connection, kind: str, model: str, drift_ppm: float) -> No
     pipe.send(("port", os.ttyname(slave)))
     firmware = BoxFirmware(kind, model, drift_ppm)
     due: list[tuple[int, str, bool]] = []
+    down: set[str] = set()
     try:
         while True:
             wait_s = max(0.0, (due[0][0] - now_ns()) * 1e-9) if due else 1.0
@@ -95,15 +96,20 @@ def emulate_box(pipe: Connection, kind: str, model: str, drift_ppm: float) -> No
             while due and due[0][0] <= now_ns():
                 _, key, pressed = due.pop(0)
                 written_ns = now_ns()
-                os.write(master, firmware.key(key, pressed, written_ns * 1e-9))
+                # A key that goes down again comes up first; one that is up already stays so.
+                if key in down:
+                    down.discard(key)
+                    os.write(master, firmware.key(key, False, written_ns * 1e-9))
                 if pressed:
+                    down.add(key)
+                    os.write(master, firmware.key(key, True, written_ns * 1e-9))
                     pipe.send(("pressed", key, written_ns))
             while pipe.poll():
                 message = pipe.recv()
                 if message[0] == "noise":
                     os.write(master, message[1])
                 elif message[0] == "forget":
-                    due.clear()
+                    due = [(at_ns, key, pressed) for at_ns, key, pressed in due if not pressed and key in down]
                 elif message[0] == "flood":
                     start_ns, step_ns = now_ns(), 1e9 / message[1]
                     edges = int(message[1] * message[2])

@@ -19,7 +19,8 @@ class Keyboard:
         self._display.keys()
 
     def poll(self) -> list[Press]:
-        return [Press(key, at_ns, at_ns, self.name, None, key.encode()) for key, at_ns in self._display.keys()]
+        pressed = self._display.keys()
+        return [Press(key, at_ns, at_ns, self.name, None, key.encode()) for key, at_ns in pressed]
 
     def alive(self) -> bool:
         return True

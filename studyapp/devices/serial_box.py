@@ -12,7 +12,7 @@ from studyapp.clock import now_ns
 from studyapp.devices import cedrus_xid
 from studyapp.devices.clock_model import ClockFit, ClockModel
 from studyapp.devices.decoders import BYTE_BOXES, LINE_BOXES, Decoder, XidDecoder, decoder_for
-from studyapp.devices.device import Batch, DeviceEvent, DeviceGone, DeviceSpec
+from studyapp.devices.device import SILENCE_LIMIT_S, Batch, DeviceEvent, DeviceGone, DeviceSpec
 from studyapp.seams import Press
 
 HALF_MS_S = 0.0005  # boxes cut their stamps to whole milliseconds
@@ -72,8 +72,6 @@ class SerialBox:
         try:
             data = self._line.read(4096)
             host_ns = now_ns()
-            if self._query:
-                self._ask(host_ns)
         except (serial.SerialException, OSError, TypeError) as error:  # TypeError: pyserial on a vanished handle
             raise DeviceGone(f"{self._spec.port}: the line was cut ({error})") from error
         events = [DeviceEvent(host_ns, "info", {"text": text}) for text in self._warnings]
@@ -87,6 +85,8 @@ class SerialBox:
             if change.pressed:
                 presses.append(Press(key, host_ns, mapped_ns, self._spec.name, change.device_s, change.raw))
         self._take_timer_answers(host_ns)
+        if self._query:
+            self._ask(host_ns)
         if self._decoder.malformed > self._malformed:
             events.append(DeviceEvent(host_ns, "malformed", {"bytes": self._decoder.malformed - self._malformed}, data))
             self._malformed = self._decoder.malformed
@@ -106,12 +106,16 @@ class SerialBox:
     def _ask(self, host_ns: int) -> None:
         """Ask a Cedrus box for its time ten times a second: its clock, and whether it is still there."""
         assert isinstance(self._decoder, XidDecoder)
-        if host_ns - self._answered_ns > 2e8 and self._asked_ns > self._answered_ns:
-            raise DeviceGone(f"{self._spec.port}: the box stopped answering")
-        if host_ns - self._asked_ns >= 1e8 and self._asked_ns <= self._answered_ns:
+        if self._asked_ns > self._answered_ns:
+            if host_ns - self._asked_ns > SILENCE_LIMIT_S * 1e9 / 2:
+                raise DeviceGone(f"{self._spec.port}: the box stopped answering")
+        elif host_ns - self._asked_ns >= 1e8:
             self._asked_ns = now_ns()
             self._decoder.timer_queried()
-            self._line.write(b"_e5")
+            try:
+                self._line.write(b"_e5")
+            except (serial.SerialException, OSError) as error:
+                raise DeviceGone(f"{self._spec.port}: the line was cut ({error})") from error
 
     def _take_timer_answers(self, host_ns: int) -> None:
         if not self._query or not isinstance(self._decoder, XidDecoder) or not self._decoder.timer_answers:

@@ -92,7 +92,9 @@ class EmulatedPresses(BoxAnswers):
 
     def press(self, key: str, at_ns: int) -> None:
         """The finger goes down on ``key``'s button at session time ``at_ns``."""
-        self._emulator.tell("press", button_for(self._map, key), at_ns)
+        button = button_for(self._map, key)
+        # Where any key goes on, the finger takes the first button.
+        self._emulator.tell("press", button if button in self._buttons else self._buttons[0], at_ns)
 
 
 class LeapingPresses(EmulatedPresses):

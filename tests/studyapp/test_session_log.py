@@ -113,8 +113,9 @@ def test_the_durable_log_holds_trial_answers_and_every_flip_when_it_acknowledges
     log.note("a note")
     for trial in range(3):
         log.begin_trial(trial)
-        for row in flip_rows(100, 100 * trial):
-            log.put(row)
+        for row in flip_rows(50, 100 * trial):
+            log.put(row.reshape(1))
+        log.put(flip_rows(50, 100 * trial + 50))
         log.commit_trial(trial_row(trial), [response(trial)])
         db = sqlite3.connect(path)
         assert db.execute("SELECT COUNT(*) FROM trials").fetchone() == (trial + 1,)
@@ -137,7 +138,7 @@ def test_the_direct_log_writes_the_same_rows_and_leaves_nothing_half_done(tmp_pa
         log.begin_trial(0)
         for row in flip_rows(10):
             row["submitted_ns"] = 0
-            log.put(row)
+            log.put(row.reshape(1))
         log.commit_trial(trial_row(0), [response(0)])
         if kind is DirectLog:
             assert not log.path.exists()
@@ -180,7 +181,7 @@ if __name__ == "__main__":
     log.commit_trial(trial_row(0), [response(0)])
     log.begin_trial(1)
     for row in flip_rows(50):
-        log.put(row)
+        log.put(row.reshape(1))
     os.kill(os.getpid(), signal.SIGKILL)
 """
     script = tmp_path / "presenter.py"
@@ -205,7 +206,7 @@ def test_a_full_disk_stops_with_one_line_and_keeps_what_was_acknowledged(tmp_pat
         for trial in range(1000):
             log.begin_trial(trial)
             for row in flip_rows(100):
-                log.put(row)
+                log.put(row.reshape(1))
             log.commit_trial(trial_row(trial), [response(trial)])
             acknowledged.append(trial)
 

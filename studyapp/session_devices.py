@@ -1,0 +1,125 @@
+"""The devices of one session: a person's (lab file, keyboard), or emulated ones on real lines (simulated observer)."""
+
+from __future__ import annotations
+
+import contextlib
+import uuid
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+from stimuli.errors import InputError, problem
+from studyapp.cli import JobFailed
+from studyapp.devices.decoders import BOX_KINDS, BYTE_BOXES
+from studyapp.devices.device import DeviceSpec
+from studyapp.devices.emulators import Emulator, box_emulator, gaze_emulator
+from studyapp.devices.keyboard import Keyboard
+from studyapp.devices.reader_process import BoardGaze, DeviceReader
+from studyapp.devices.simulated import BoxAnswers, EmulatedPresses, LeapingPresses
+from studyapp.gaze.angles import ScreenGeometry
+from studyapp.lab_file import Lab
+from studyapp.seams import Display
+from studyapp.session_log import StreamRings
+from studyapp.trial import AnswerDevice
+
+TRACKER_KINDS = ("lsl", "gazepoint", "pupil")
+BUTTONS = tuple("12345678")
+GAZE_HZ = 250.0
+START_LIMIT_S = 30.0
+
+
+@dataclass
+class SessionDevices:
+    """What a session needs of its devices. ``reader`` None: only the keyboard. ``emulators``: box and eyes, if any."""
+
+    answers: AnswerDevice
+    gaze: BoardGaze | None = None
+    reader: DeviceReader | None = None
+    emulators: tuple[Emulator, ...] = ()
+    reconnect_s: float = 60.0
+    streams: StreamRings = field(default_factory=StreamRings)
+
+    def reconnect(self) -> list[str]:
+        """Wait for lost devices; what is still missing ([]: go on)."""
+        if self.reader is None:
+            return []
+        missing = self.reader.wait_until_there(self.reconnect_s)
+        if not missing and not self.answers.alive():
+            # The lines stand and the box does not answer: nothing that waiting would mend.
+            return [f"{self.answers.name}: no press came through the line"]
+        return missing
+
+    def pids(self) -> dict[str, int]:
+        """Role -> process id of every process beside the presenter's."""
+        found = {f"emulator_{n}": emulator.pid for n, emulator in enumerate(self.emulators)}
+        return found if self.reader is None else {**found, "reader": self.reader.pid}
+
+
+@contextlib.contextmanager
+def emulated_devices(
+    display: Display, screen: ScreenGeometry, seed: int, kind: str = "xid"
+) -> Iterator[SessionDevices]:
+    """A box on a pseudo-terminal and an eye tracker on LSL loopback, each in a process of its own, read by ours.
+
+    Raises JobFailed where they cannot be reached within `START_LIMIT_S`.
+    """
+    with contextlib.ExitStack() as stack:
+        box = box_emulator(kind)
+        stack.callback(box.close)
+        eyes = gaze_emulator(f"studyapp-{uuid.uuid4()}", GAZE_HZ, screen, seed)
+        stack.callback(eyes.close)
+        reader = DeviceReader(
+            [
+                DeviceSpec("box", kind, box.port),
+                DeviceSpec("eyes", "lsl", eyes.port, {"loopback": True}, screen=screen),
+            ]
+        )
+        stack.callback(reader.close)
+        missing = reader.wait_until_there(START_LIMIT_S)
+        if missing:
+            raise JobFailed(f"devices: {'; '.join(missing)}")
+        gaze = reader.gaze("eyes")
+        # The virtual display's clock is not the session's: there, presses are asked of the line when it gets to them.
+        if display.stamp_class == "virtual":
+            presses: EmulatedPresses = LeapingPresses(display.now_ns, reader, box, BUTTONS, (gaze.alive,))
+        else:
+            presses = EmulatedPresses(reader, box, BUTTONS, (gaze.alive,))
+        yield SessionDevices(presses, gaze, reader, (box, eyes), 1.0, reader.streams)
+
+
+@contextlib.contextmanager
+def lab_devices(display: Display, lab: Lab, screen: ScreenGeometry) -> Iterator[SessionDevices]:
+    """The lab file's box and eye tracker; the keyboard where it names no box. Raises InputError on unknown kinds and
+    JobFailed where a device cannot be reached."""
+    kinds = (*BOX_KINDS, *TRACKER_KINDS)
+    wrong = [device for device in lab.devices if device.kind not in kinds]
+    if wrong:
+        where = lab.path or "lab"
+        raise InputError(*[problem(where, f"device {d.name}: kind", d.kind, " | ".join(kinds)) for d in wrong])
+    specs = [
+        DeviceSpec(device.name, device.kind, device.port, dict(device.options), dict(device.keys), screen)
+        for device in lab.devices
+    ]
+    if not specs:
+        yield SessionDevices(Keyboard(display))
+        return
+    reader = DeviceReader(specs)
+    try:
+        missing = reader.wait_until_there(START_LIMIT_S)
+        if missing:
+            raise JobFailed(f"devices: {'; '.join(missing)}")
+        boxes = [spec for spec in specs if spec.kind in BOX_KINDS]
+        trackers = [spec for spec in specs if spec.kind in TRACKER_KINDS]
+        gaze = reader.gaze(trackers[0].name) if trackers else None
+        others = (gaze.alive,) if gaze is not None else ()
+        answers: AnswerDevice = Keyboard(display)
+        if boxes:
+            answers = BoxAnswers(reader, _buttons(boxes[0]), others)
+        yield SessionDevices(answers, gaze, reader, streams=reader.streams)
+    finally:
+        reader.close()
+
+
+def _buttons(spec: DeviceSpec) -> tuple[str, ...]:
+    """The names of a box's buttons, left to right."""
+    own = tuple(BYTE_BOXES[spec.kind].bits.values()) if spec.kind in BYTE_BOXES else BUTTONS
+    return tuple(spec.keys.get(key, key) for key in own if key != "trigger")
