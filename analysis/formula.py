@@ -126,7 +126,7 @@ def model_frame(where: str, table: pd.DataFrame, formula: str, random: str | Seq
         raise InputError(problem(where, "formula", repr(formula), f"one that can be read ({error})")) from None
     groups = random_columns(specs)
     require_columns(where, table, [response, *variables, *groups])
-    rows = table[[*dict.fromkeys([response, *variables, *groups])]].notna().all(axis=1).to_numpy()
+    rows = table[[*dict.fromkeys([response, *variables, *groups])]].notna().all(axis=1).to_numpy(copy=True)
     for name in [response, *variables]:
         if pd.api.types.is_float_dtype(table[name].dtype):
             rows &= np.isfinite(table[name].to_numpy(float))
