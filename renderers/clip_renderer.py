@@ -137,6 +137,18 @@ def warm_up_frames(request: ClipRequest) -> int:
     return max(1, math.ceil(wanted / request.frame_count)) * request.frame_count
 
 
+def geometry_of(request: ClipRequest) -> ViewGeometry | None:
+    """The request's (width_m, height_m, distance_m, offset right, offset up); None: the camera's own field."""
+    if request.geometry is None:
+        return None
+    if len(request.geometry) != 5:
+        raise InputError(
+            problem(request.scene, "geometry", request.geometry, "width, height, distance, offset x and y")
+        )
+    width_m, height_m, distance_m, right_m, up_m = request.geometry
+    return ViewGeometry(width_m, height_m, distance_m, (right_m, up_m))
+
+
 def gaze_of(request: ClipRequest, scene: Scene, camera: CameraPath, t1: Fraction) -> Gaze | None:
     """Where the eye looks at ``t1``: the request's fixed direction, or the scene's fixation target ('moving')."""
     if request.gaze != "moving":
@@ -153,9 +165,9 @@ def gaze_of(request: ClipRequest, scene: Scene, camera: CameraPath, t1: Fraction
             problem(request.scene, "moving gaze", f"the target is behind the eye at {float(t1):g} s", "in front")
         )
     x, y = own[0] / -own[2], own[1] / -own[2]
-    if request.geometry is not None:
+    geometry = geometry_of(request)
+    if geometry is not None:
         # The picture's plane stands at the screen: its half height is tan(yfov / 2) in front of a pinhole.
-        geometry = ViewGeometry(*request.geometry[:3], (request.geometry[3], request.geometry[4]))
         half = math.tan(camera.yfov_rad / 2)
         x = (x / half * geometry.height_m / 2 + geometry.offset_m[0]) / geometry.distance_m
         y = (y / half * geometry.height_m / 2 + geometry.offset_m[1]) / geometry.distance_m
@@ -170,7 +182,7 @@ class ClipRenderer:
             dr.set_thread_count(threads)
             import numba
 
-            numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
+            numba.set_num_threads(threads)
         self._key: tuple[Any, ...] = ()
         self._held: tuple[Scene, CameraPath, Engine] | None = None
         self._techniques: dict[tuple[str, int], Technique] = {}
@@ -242,10 +254,9 @@ class ClipRenderer:
 
 
 def view_of(request: ClipRequest, scene: Scene, camera: CameraPath, k: int, before: int, cut: bool) -> View:
-    """Frame ``k`` of the clip (negative: warm-up), as the technique sees it: its index counts from the warm-up's start."""
+    """Frame ``k`` of the clip (negative: warm-up) for a technique; its index counts from the warm-up's start."""
     rate = Fraction(request.rate_hz)
     t1 = Fraction(request.start_s) + k / rate
-    geometry = request.geometry
     return View(
         index=k + before,
         t0=t1 - 1 / rate,
@@ -253,7 +264,7 @@ def view_of(request: ClipRequest, scene: Scene, camera: CameraPath, k: int, befo
         size_px=request.size_px,
         camera=camera,
         gaze=gaze_of(request, scene, camera, t1),
-        geometry=None if geometry is None else ViewGeometry(*geometry[:3], (geometry[3], geometry[4])),
+        geometry=geometry_of(request),
         exposure=request.exposure,
         tone=request.tone,
         cut=cut,

@@ -41,15 +41,15 @@ def _sees(path: str) -> bool:
     return Path(path).is_file()
 
 
-def _check_workers(client: Client, store: ClipStore) -> None:
+def _check_workers(client: Client, store: ClipStore, address: str) -> None:
     """Every worker has one thread and sees this store; InputError otherwise."""
     workers = client.scheduler_info(n_workers=-1)["workers"]
     if not workers:
-        raise InputError(problem(client.scheduler.address, "cluster", "no workers", "dask worker ADDRESS --nthreads 1"))
+        raise InputError(problem(address, "cluster", "no workers", "dask worker ADDRESS --nthreads 1"))
     many = [name for name, about in workers.items() if about["nthreads"] != 1]
     if many:
         got = f"{workers[many[0]]['nthreads']} threads in {many[0]}"
-        raise InputError(problem(client.scheduler.address, "cluster", got, "dask worker --nthreads 1"))
+        raise InputError(problem(address, "cluster", got, "dask worker --nthreads 1"))
     probe = store.new_building() / "probe"
     probe.touch()
     try:
@@ -75,7 +75,7 @@ def run_cluster(store: ClipStore, tasks: Sequence[Task], renderer: str, address:
             problem(address, "cluster", f"no answer ({type(error).__name__})", "a Dask scheduler")
         ) from error
     try:
-        _check_workers(client, store)
+        _check_workers(client, store, address)
         root = str(store.root.resolve())
         longest_first = sorted(tasks, key=lambda task: -task.samples)
         futures = {client.submit(do_task, root, task, renderer, pure=False): task for task in longest_first}

@@ -8,22 +8,26 @@ from __future__ import annotations
 
 import fcntl
 import os
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+import shutil
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any
 
 from tqdm import tqdm
 
 from renderers.catalogue import CATALOGUE
 from renderers.render_unit import RENDERER, command_for, merge_blocks
-from renderers.units import Unit, plan_units, units_by_frames
+from renderers.units import Unit, block_sizes, plan_units, units_by_frames
 from renderers.worker_pool import Event, Task, run_here, run_local
 from stimuli.clip import ClipStore
 from stimuli.clip_job import ClipJob, write_job
 from stimuli.clip_parts import DamagedPart, assemble, has_part, part_directory
 from stimuli.clip_request import ClipRequest
 from stimuli.errors import InputError, problem
+
+MAX_DAMAGED_PARTS = 100
+"""So many parts of one clip may be found damaged and made again before the store itself is given up."""
 
 
 @dataclass(frozen=True)
@@ -61,8 +65,6 @@ def units_of(request: ClipRequest) -> tuple[Unit, ...]:
 
 
 def _samples(request: ClipRequest, unit: Unit) -> int:
-    from renderers.units import block_sizes
-
     spp = samples_per_pixel(request)
     sizes = block_sizes(spp) if spp else (1,)
     low, high = unit.blocks or (0, len(sizes))
@@ -117,116 +119,116 @@ def produce(
     with only_producer(store):
         store.clear_abandoned()
         todo, kept, damaged = _missing(store, jobs)
-        plans = {job.request.identity: units_of(job.request) for job in todo}
         for job in todo:
             write_job(store, job)
-        made, poisoned = _make(store, todo, plans, workers, cluster, bar, renderer)
-    remade = tuple(identity for identity in made if identity in damaged)
-    fresh = tuple(identity for identity in made if identity not in damaged)
-    return Outcome(fresh, tuple(kept), remade, tuple(poisoned))
+        work = _Work(store, todo, {"workers": workers, "cluster": cluster is not None})
+        with tqdm(total=work.total, initial=work.done, unit="ray", unit_scale=True, disable=not bar) as progress:
+            while work.pending:
+                for identity in work.ready():
+                    work.finish(identity)
+                tasks = work.tasks()
+                with closing(_events(store, tasks, workers, cluster, renderer)) as events:
+                    for event in events:
+                        progress.update(work.take(event, renderer))
+                        progress.set_postfix_str(f"{len(work.made)}/{len(todo)} clips", refresh=False)
+    return Outcome(
+        made=tuple(identity for identity in work.made if identity not in damaged),
+        kept=tuple(kept),
+        remade=tuple(identity for identity in work.made if identity in damaged),
+        poisoned=tuple(work.poisoned),
+    )
 
 
-def _make(
-    store: ClipStore,
-    todo: Sequence[ClipJob],
-    plans: dict[str, tuple[Unit, ...]],
-    workers: int,
-    cluster: str | None,
-    bar: bool,
-    renderer: str,
-) -> tuple[list[str], list[Poisoned]]:
-    """Run all units and join each clip as soon as its last one is there."""
-    missing = {
-        job.request.identity: {unit for unit in plans[job.request.identity] if not _is_there(store, job, unit)}
-        for job in todo
-    }
-    made: list[str] = []
-    poisoned: list[Poisoned] = []
-    total = sum(_samples(job.request, unit) for job in todo for unit in plans[job.request.identity])
-    done = total - sum(_samples(job.request, unit) for job in todo for unit in missing[job.request.identity])
-    with tqdm(total=total, initial=done, unit="ray", unit_scale=True, disable=not bar, desc="render") as progress:
-        pending = list(todo)
-        while pending:
-            tasks = [
-                Task(job, unit, _samples(job.request, unit))
-                for job in pending
-                for unit in plans[job.request.identity]
-                if unit in missing[job.request.identity]
+class _Work:
+    """What is still to be done: each clip's missing units, and what came out so far."""
+
+    def __init__(self, store: ClipStore, jobs: Sequence[ClipJob], about: dict[str, Any]) -> None:
+        self._store, self._about = store, about
+        self._jobs = {job.request.identity: job for job in jobs}
+        self._plans = {identity: units_of(job.request) for identity, job in self._jobs.items()}
+        self._missing = {
+            identity: {unit for unit in self._plans[identity] if not _is_there(store, identity, unit)}
+            for identity in self._jobs
+        }
+        self._counted: dict[tuple[str, Unit], int] = {}
+        self._damaged: dict[str, int] = {}
+        self.pending = set(self._jobs)
+        self.made: list[str] = []
+        self.poisoned: list[Poisoned] = []
+        self.total = sum(_samples(job.request, unit) for name, job in self._jobs.items() for unit in self._plans[name])
+        self.done = self.total - sum(task.samples for task in self.tasks())
+
+    def ready(self) -> list[str]:
+        """Clips whose units are all there."""
+        return [identity for identity in self._jobs if identity in self.pending and not self._missing[identity]]
+
+    def tasks(self) -> list[Task]:
+        """All missing units, in the order of the clips and their frames."""
+        return [
+            Task(job, unit, _samples(job.request, unit))
+            for identity, job in self._jobs.items()
+            if identity in self.pending
+            for unit in self._plans[identity]
+            if unit in self._missing[identity]
+        ]
+
+    def finish(self, identity: str) -> None:
+        """Average sample blocks where there are any, and publish the clip; a damaged part has to be made again."""
+        job, units = self._jobs[identity], self._plans[identity]
+        try:
+            names = [
+                Unit(first, stop).name if group[0].blocks is None else merge_blocks(self._store, job, group)
+                for (first, stop), group in units_by_frames(units).items()
             ]
-            ready = [job for job in pending if not missing[job.request.identity]]
-            failed: set[str] = set()
-            again: list[ClipJob] = []
-            counted: dict[tuple[str, Unit], int] = {}
+            assemble(self._store, job.request, names, cost=self._about)
+        except DamagedPart as error:
+            self._damaged[identity] = self._damaged.get(identity, 0) + 1
+            if self._damaged[identity] > MAX_DAMAGED_PARTS:
+                raise  # a failing disk: nothing that is written can be read back
+            shutil.rmtree(part_directory(self._store, identity, error.name))
+            bad = Unit.from_name(error.name)
+            self._missing[identity] = {
+                unit for unit in units if (unit.first, unit.stop) == (bad.first, bad.stop)
+                and not _is_there(self._store, identity, unit)
+            }  # fmt: skip
+        else:
+            self.pending.discard(identity)
+            self.made.append(identity)
 
-            def finish(job: ClipJob, again: list[ClipJob] = again) -> None:
-                identity = job.request.identity
-                try:
-                    _join(store, job, plans[identity])
-                    made.append(identity)
-                    progress.set_postfix_str(f"{len(made)}/{len(todo)} clips")
-                except DamagedPart as error:
-                    missing[identity] = _drop(store, job, plans[identity], error.name)
-                    again.append(job)
-
-            for job in ready:
-                finish(job)
-            for event in _events(store, tasks, workers, cluster, renderer):
-                identity, unit = event.task.job.request.identity, event.task.unit
-                if event.kind == "samples":
-                    counted[identity, unit] = counted.get((identity, unit), 0) + event.samples
-                    progress.update(event.samples)
-                elif event.kind == "again":
-                    progress.update(-counted.pop((identity, unit), 0))
-                elif event.kind == "failed":
-                    failed.add(identity)
-                    label = f"{event.task.job.request.scene} {event.task.job.request.technique}"
-                    command = command_for(store, identity, unit, renderer)
-                    poisoned.append(Poisoned(identity, label, unit, event.text, command))
-                else:
-                    missing[identity].discard(unit)
-                    if not missing[identity] and identity not in failed:
-                        finish(event.task.job)
-            pending = again
-    return made, poisoned
+    def take(self, event: Event, renderer: str) -> int:
+        """Note an event; by how many rays the progress bar moves."""
+        request, unit = event.task.job.request, event.task.unit
+        identity, key = request.identity, (request.identity, unit)
+        if event.kind == "samples":
+            self._counted[key] = self._counted.get(key, 0) + event.samples
+            return event.samples
+        if event.kind == "made":
+            self._missing[identity].discard(unit)
+            if not self._missing[identity]:
+                self.finish(identity)
+            return event.task.samples - self._counted.pop(key, 0)
+        if event.kind == "failed":
+            self.pending.discard(identity)
+            command = command_for(self._store, identity, unit, renderer)
+            label = f"{request.scene} {request.technique}"
+            self.poisoned.append(Poisoned(identity, label, unit, event.text, command))
+        return -self._counted.pop(key, 0)
 
 
 def _events(
     store: ClipStore, tasks: Sequence[Task], workers: int, cluster: str | None, renderer: str
-) -> Iterator[Event]:
-    if not tasks:
-        return iter(())
-    if cluster is not None:
+) -> Generator[Event, None, None]:
+    if tasks and cluster is not None:
         from renderers.cluster import run_cluster  # distributed is slow to import
 
-        return run_cluster(store, tasks, renderer, cluster)
-    return run_here(store, tasks, renderer) if workers == 1 else run_local(store, tasks, renderer, workers)
+        yield from run_cluster(store, tasks, renderer, cluster)
+    elif tasks and workers == 1:
+        yield from run_here(store, tasks, renderer)
+    elif tasks:
+        yield from run_local(store, tasks, renderer, workers)
 
 
-def _is_there(store: ClipStore, job: ClipJob, unit: Unit) -> bool:
+def _is_there(store: ClipStore, identity: str, unit: Unit) -> bool:
     """Whether the unit's part was made, or (for sample blocks) the frames that it belongs to."""
-    identity = job.request.identity
-    return has_part(store, identity, unit.name) or (
-        unit.blocks is not None and has_part(store, identity, Unit(unit.first, unit.stop).name)
-    )
-
-
-def _join(store: ClipStore, job: ClipJob, units: Sequence[Unit]) -> None:
-    """Average sample blocks where there are any, and publish the clip."""
-    names = []
-    for (first, stop), group in units_by_frames(units).items():
-        blocks: Literal[True, False] = group[0].blocks is not None
-        names.append(merge_blocks(store, job, group) if blocks else Unit(first, stop).name)
-    assemble(store, job.request, names)
-
-
-def _drop(store: ClipStore, job: ClipJob, units: Sequence[Unit], name: str) -> set[Unit]:
-    """Remove a damaged part; the units that have to be made again."""
-    import shutil
-
-    bad = Unit.from_name(name)
-    shutil.rmtree(part_directory(store, job.request.identity, name), ignore_errors=True)
-    return {
-        unit
-        for unit in units
-        if unit == bad or (bad.blocks is None and (unit.first, unit.stop) == (bad.first, bad.stop))
-    }
+    whole = Unit(unit.first, unit.stop)
+    return has_part(store, identity, unit.name) or has_part(store, identity, whole.name)

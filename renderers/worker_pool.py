@@ -1,4 +1,4 @@
-"""Units of work on processes of this machine. A worker that dies takes nothing with it but its unit, which is done again.
+"""Units of work on processes of this machine. A worker that dies costs its unit one more try.
 
 Workers are spawned (no lock or thread of ours is copied), do one unit at a time and send a message a frame. Whatever
 kills one (an exception, a signal, a crash inside a library) ends its process; its last words are kept in a log file.
@@ -89,9 +89,9 @@ class _Worker:
     def __init__(self, store: ClipStore, renderer: str, log: Path) -> None:
         context = get_context("spawn")
         self.connection, theirs = context.Pipe()
-        self.log, self.task, self.before = log, None, None
-        self.task: Task | None
-        self.before: Task | None
+        self.log = log
+        self.task: Task | None = None
+        self.before: Task | None = None
         self.process = context.Process(
             target=_work, args=(theirs, str(store.root), renderer, str(log)), daemon=True, name=log.stem
         )

@@ -35,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
     missing = [request for request in clips.requests.values() if not store.has(request.identity)]
     estimate = estimate_disk(missing)
     print(
-        f"{study.study}: {len(set(r.identity for r in clips.requests.values()))} clips, {estimate.clips} to render "
+        f"{study.study}: {len({r.identity for r in clips.requests.values()})} clips, {estimate.clips} to render "
         f"({estimate.frames} frames); at most {estimate.exr_bytes / 1e6:.0f} MB in {store.root}, "
         f"and {estimate.play_bytes / 1e6:.0f} MB to play them"
     )
