@@ -1,0 +1,233 @@
+"""The protocol's analysis plan decides: each planned test on its rows, and a derived plan where a study states none.
+
+Every planned test appears in the results. What cannot be computed stands there with its reason and status.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+import analysis
+from analysis.comparisons import with_winner
+from analysis.exclusions import catch_results
+from analysis.plan_tests import RUNNERS
+from analysis.planned_test import Plan, Result, Test, column_of
+from analysis.rows import rows_of_table
+from analysis.sessions import Session
+from stimuli.errors import InputError, problem
+
+_NAMED = ("name", "test", "dv", "within", "between", "subject", "where", "separately_by", "effects")
+
+
+def plan_of(sessions: Sequence[Session], kept: pd.DataFrame) -> Plan:
+    """The plan stated in the sessions' headers; where none states tests, the one that `derived_tests` gives.
+
+    Raises InputError where the sessions state different plans.
+    """
+    plans = {
+        repr(session.header.get("analysis_plan") or {}): session.header.get("analysis_plan") for session in sessions
+    }
+    if len(plans) > 1:
+        raise InputError(problem("sessions", "analysis plan", f"{len(plans)} versions", "one for all sessions"))
+    stated = next(iter(plans.values()), None) or {}
+    tests = tuple(_test(one, index) for index, one in enumerate(stated.get("tests") or []))
+    alpha, adjust = float(stated.get("alpha", 0.05)), str(stated.get("adjust", "holm"))
+    return Plan(tests or derived_tests(kept, sessions), alpha, adjust, bool(tests))
+
+
+def _test(given: Mapping[str, Any], index: int) -> Test:
+    for key in ("name", "test"):
+        if not given.get(key):
+            raise InputError(problem(f"analysis_plan.tests[{index}]", key, "nothing", f"the test's {key}"))
+    options = {key: value for key, value in given.items() if key not in _NAMED and value is not None}
+    listed: dict[str, Any] = {
+        key: tuple(given.get(key) or ()) for key in ("within", "between", "separately_by", "effects")
+    }
+    where = {column: [str(level) for level in levels] for column, levels in (given.get("where") or {}).items()}
+    return Test(
+        name=str(given["name"]),
+        test=str(given["test"]),
+        dv=str(given.get("dv") or "rating"),
+        subject=str(given.get("subject") or "participant"),
+        where=where,
+        options=options,
+        **listed,
+    )
+
+
+def likert_questions(sessions: Sequence[Session]) -> dict[str, dict[str, Any]]:
+    """Likert questions by name, as the plan words them: text, low, high, labels."""
+    found: dict[str, dict[str, Any]] = {}
+    for session in sessions:
+        for trial in session.header.get("plan") or []:
+            for question in trial.get("questions", ()):
+                if question["kind"] == "likert":
+                    found.setdefault(question["name"], question)
+    return found
+
+
+def within_factors(kept: pd.DataFrame, sessions: Sequence[Session]) -> list[str]:
+    """The design's factors of the rated trials: those with several levels that are crossed within participants;
+    condition (and scene) where the design names none."""
+    rated = kept[np.isfinite(kept["rating"].astype(float))]
+    named: list[str] = []
+    for session in sessions:
+        for trial in session.header.get("plan") or []:
+            named += [name for name in trial.get("factors", {}) if name not in named]
+    usable = [name for name in named if name in rated and _crossed(rated, name)]
+    if not _determined(rated, usable):
+        usable = [name for name in ("condition",) if _crossed(rated, name)] + usable
+    # the factors that make up the condition come first, the scene after them
+    usable.sort(key=lambda name: (name == "scene", not _determined(rated, [name])))
+    if usable and "scene" not in usable and _crossed(rated, "scene") and not _determined(rated, usable, "scene"):
+        usable.append("scene")
+    return usable
+
+
+def _crossed(rated: pd.DataFrame, name: str) -> bool:
+    levels = rated.groupby("participant", sort=False)[name].nunique()
+    return name not in ("repetition",) and bool(len(levels)) and bool((levels >= 2).all())
+
+
+def _determined(rated: pd.DataFrame, factors: Sequence[str], column: str = "condition") -> bool:
+    """True where the levels of ``factors`` say what ``column`` is."""
+    if not factors:
+        return False
+    return bool((rated.groupby(list(factors), observed=True, sort=False)[column].nunique() <= 1).all())
+
+
+def derived_tests(kept: pd.DataFrame, sessions: Sequence[Session]) -> tuple[Test, ...]:
+    """What a design without a plan is given: Bradley-Terry for choices; per Likert question the repeated-measures ANOVA
+    with the rank tests beside it, and Holm's post-hoc tests of the first factor."""
+    tests: list[Test] = []
+    if kept["winner"].notna().any():
+        tests.append(Test("preference", "bradley_terry", dv="choice"))
+    factors = within_factors(kept, sessions)
+    for question in likert_questions(sessions):
+        if not factors or not np.isfinite(kept.get(f"rating_{question}", pd.Series(dtype=float)).astype(float)).any():
+            continue
+        own: Mapping[str, Any] = {"question": question}
+        tests.append(Test(f"{question}: ANOVA", "rm_anova", within=tuple(factors), options=own))
+        tests.append(Test(f"{question}: aligned ranks", "aligned_rank_anova", within=tuple(factors), options=own))
+        tests.append(Test(f"{question}: Friedman, {factors[0]}", "friedman", within=(factors[0],), options=own))
+        tests.append(Test(f"{question}: post hoc, {factors[0]}", "posthoc_t", within=(factors[0],), options=own))
+    return tuple(tests)
+
+
+def rows_of(kept: pd.DataFrame, test: Test) -> tuple[pd.DataFrame, str]:
+    """The test's rows and the name of its dependent column. Raises InputError where a named column does not exist."""
+    own = kept
+    question = test.options.get("question")
+    if test.options.get("block") is not None:
+        own = own[own["block"] == test.options["block"]]
+    for column, levels in test.where.items():
+        own = own[column_of(own, column, test).astype(str).isin(levels)]
+    if test.dv in ("choice", "correct"):
+        own = with_winner(own, question) if test.dv == "choice" else own[own["correct"].notna()].copy()
+        if test.dv == "correct":
+            own["right"] = [str(r.correct) in (str(r.side), str(r.response)) for r in rows_of_table(own)]
+            own["right"] = own["right"].astype(float)
+            return own, "right"
+        return own, "chosen"
+    dv = f"{test.dv}_{question}" if question else test.dv
+    values = column_of(own, dv, test).astype(float)
+    return own[np.isfinite(values)].reset_index(drop=True), dv
+
+
+def run_plan(plan: Plan, kept: pd.DataFrame, progress: Callable[[], object] = lambda: None) -> list[Result]:
+    """Every test of the plan in its order; ``separately_by`` gives one result a level. Families are adjusted together
+    (column ``p_family``)."""
+    results: list[Result] = []
+    for test in plan.tests:
+        for part in _parts(test, kept):
+            results.append(_run(part, kept, plan))
+        progress()
+    return _adjust_families(results, plan)
+
+
+def _parts(test: Test, kept: pd.DataFrame) -> list[Test]:
+    """One test for each combination of levels of ``separately_by`` that occurs."""
+    columns = [name for name in test.separately_by if name in kept]
+    if not columns:
+        return [test]
+    combinations = kept[columns].dropna().astype(str).drop_duplicates().sort_values(columns)
+    parts = []
+    for levels in rows_of_table(combinations):
+        chosen = dict(zip(columns, levels, strict=True))
+        where = {**test.where, **{column: [level] for column, level in chosen.items()}}
+        label = ", ".join(f"{column} = {level}" for column, level in chosen.items())
+        parts.append(
+            Test(
+                f"{test.name}, {label}", test.test, test.dv, test.within, test.between, test.subject, where,
+                (), test.effects, test.options, label,
+            )
+        )  # fmt: skip
+    return parts
+
+
+def _run(test: Test, kept: pd.DataFrame, plan: Plan) -> Result:
+    if test.test not in RUNNERS:
+        raise InputError(problem(f"analysis plan: {test.name}", "unknown test", repr(test.test), " | ".join(RUNNERS)))
+    try:
+        own, dv = rows_of(kept, test)
+        if own.empty:
+            return _without(test, "undefined", "no analysed trial answers this test")
+        table = RUNNERS[test.test](own, dv, test, plan)
+    except InputError as error:
+        return _without(test, "undefined", str(error))
+    method = str(table.attrs.get("method", ""))
+    n = int(table.attrs.get("n_subjects", own[test.subject].nunique()))
+    notes = [f"left out: {who}: {why}" for who, why in dict(table.attrs.get("dropped") or {}).items()]
+    notes += [str(note) for note in table.attrs.get("notes") or []]
+    return Result(test, table, method, n, tuple(notes))
+
+
+def _without(test: Test, status: str, note: str) -> Result:
+    table = pd.DataFrame([{"effect": test.name, "status": status, "note": note}])
+    return Result(test, table, "", 0, ())
+
+
+def _adjust_families(results: Sequence[Result], plan: Plan) -> list[Result]:
+    """Tests of one family have their p values adjusted together: column ``p_family``, and a note with its size."""
+    families: dict[str, list[tuple[int, int]]] = {}
+    for place, result in enumerate(results):
+        family = result.test.options.get("family")
+        if family and "p" in result.table:
+            families.setdefault(str(family), []).extend((place, row) for row in _family_rows(result))
+    adjusted = list(results)
+    for family, members in families.items():
+        p = [float(results[place].table["p"].iloc[row]) for place, row in members]
+        method = next(
+            (str(results[i].test.options["adjust"]) for i, _ in members if results[i].test.options.get("adjust")),
+            plan.adjust,
+        )
+        p_family = np.asarray(analysis.adjust_p(p, method))
+        for place in dict.fromkeys(place for place, _ in members):
+            result = adjusted[place]
+            table = result.table.copy()
+            table["p_family"] = np.nan
+            for (where, row), value in zip(members, p_family, strict=True):
+                if where == place:
+                    table.loc[table.index[row], "p_family"] = float(value)
+            table.attrs.update(result.table.attrs)
+            note = f"p_family: {method} over the {len(members)} tests of family '{family}'"
+            adjusted[place] = Result(result.test, table, result.method, result.n_subjects, (*result.notes, note))
+    return adjusted
+
+
+def _family_rows(result: Result) -> list[int]:
+    """Rows that belong to the family: the effects the hypothesis names, or all."""
+    if result.test.effects and "effect" in result.table:
+        wanted = set(result.test.effects)
+        return [i for i, effect in enumerate(result.table["effect"]) if effect in wanted]
+    return list(range(len(result.table)))
+
+
+def catch_table(table: pd.DataFrame) -> pd.DataFrame:
+    """Catch trials by participant (`exclusions.catch_results`), those with any only."""
+    results = catch_results(table)
+    return results[results["catch_trials"] > 0].reset_index(drop=True)

@@ -1,0 +1,211 @@
+"""Each kind of planned test on its rows: from the plan's words to the arguments of `analysis`'s functions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+import analysis
+from analysis.comparisons import choice_row
+from analysis.planned_test import Plan, Test, column_of
+from stimuli.errors import InputError, problem
+
+
+def _pair(own: pd.DataFrame, dv: str, test: Test) -> tuple[np.ndarray, np.ndarray, pd.Index]:
+    """Participant means of the two levels ``a`` and ``b`` of the first factor, in the same order of participants."""
+    factor = test.within[0] if test.within else "condition"
+    levels = sorted(column_of(own, factor, test).astype(str).unique())
+    a, b = str(test.options.get("a") or levels[0]), str(test.options.get("b") or levels[-1])
+    for level in (a, b):
+        if level not in levels:
+            raise InputError(problem(f"analysis plan: {test.name}", f"level of {factor}", level, " | ".join(levels)))
+    means = (
+        own.assign(_level=own[factor].astype(str)).groupby([test.subject, "_level"], sort=False)[dv].mean().unstack()
+    )
+    both = means[[a, b]].dropna()
+    return both[a].to_numpy(dtype=float), both[b].to_numpy(dtype=float), both.index
+
+
+def _chosen(own: pd.DataFrame, test: Test) -> pd.DataFrame:
+    """Comparisons in which the condition asked about took part, with ``chosen`` 0/1."""
+    names = sorted(set(own["winner"]) | set(own["loser"]))
+    asked = str(test.options.get("choice") or test.options.get("a") or names[0])
+    own = own[(own["winner"] == asked) | (own["loser"] == asked)]
+    if own.empty:
+        raise InputError(problem(f"analysis plan: {test.name}", "choice", repr(asked), " | ".join(names)))
+    return own.assign(chosen=(own["winner"] == asked).astype(float), asked=asked)
+
+
+def _binomial_choice(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.DataFrame:
+    p0 = float(test.options.get("p0") or 0.5)
+    if test.dv == "choice":
+        own = _chosen(own, test)
+        name = str(own["asked"].iloc[0])
+    else:
+        own, name = own.assign(chosen=own[dv]), "right answers"
+    row = choice_row(own, p0, test.subject)
+    table = pd.DataFrame([{"item": name, **row}])
+    unit = (
+        "Exact binomial test, one answer a participant" if row["unit"] != "participants" else "Participants as the unit"
+    )
+    table.attrs.update(method=f"{unit}, against {p0:g}.", n_subjects=row["participants"])
+    return table
+
+
+def _options(test: Test, *names: str) -> dict[str, Any]:
+    return {name: test.options[name] for name in names if test.options.get(name) is not None}
+
+
+def _rm_anova(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.DataFrame:
+    between = list(test.between) or None
+    return analysis.rm_anova(own, dv=dv, within=list(test.within), subject=test.subject, between=between)
+
+
+def _oneway(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.DataFrame:
+    means = own.groupby([test.subject, test.between[0]], sort=False)[dv].mean().reset_index()
+    return analysis.oneway_anova(means, dv=dv, between=test.between[0])
+
+
+def _posthoc(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.DataFrame:
+    adjust = str(test.options.get("adjust") or plan.adjust)
+    return analysis.posthoc_t(own, dv=dv, within=_first_within(test), subject=test.subject, adjust=adjust)
+
+
+def _first_within(test: Test) -> str:
+    return test.within[0] if test.within else "condition"
+
+
+def _aligned_ranks(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.DataFrame:
+    return analysis.aligned_rank_anova(own, dv=dv, within=list(test.within), subject=test.subject)
+
+
+def _friedman(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.DataFrame:
+    return analysis.friedman(own, dv=dv, within=_first_within(test), subject=test.subject)
+
+
+def _wilcoxon(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.DataFrame:
+    x, y, people = _pair(own, dv, test)
+    return _with_n(analysis.wilcoxon(x, y), len(people))
+
+
+def _tost(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.DataFrame:
+    low, high = test.options.get("low"), test.options.get("high")
+    if low is None or high is None:
+        raise InputError(problem(f"analysis plan: {test.name}", "bounds", f"low {low}, high {high}", "both bounds"))
+    x, y, people = _pair(own, dv, test)
+    table = _with_n(analysis.tost(x, y, low=float(low), high=float(high)), len(people))
+    table.insert(0, "low", float(low))
+    table.insert(1, "high", float(high))
+    return table
+
+
+def _with_n(table: pd.DataFrame, n: int) -> pd.DataFrame:
+    table.attrs.setdefault("n_subjects", n)
+    return table
+
+
+def _likert_summary(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.DataFrame:
+    scale = (int(own[dv].min()), int(own[dv].max()))
+    return analysis.likert_summary(own, dv=dv, by=list(test.within) or ["condition"], scale=scale)
+
+
+def _bradley_terry(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.DataFrame:
+    return analysis.bradley_terry(own, winner="winner", loser="loser", observer=test.subject)
+
+
+def _thurstone(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.DataFrame:
+    return analysis.thurstone(
+        own, winner="winner", loser="loser", observer=test.subject, **_options(test, "unit", "method")
+    )
+
+
+def _formula(own: pd.DataFrame, dv: str, test: Test) -> str:
+    given = test.options.get("formula")
+    return str(given) if given else f"{dv} ~ {' * '.join(test.within or ('condition',))}"
+
+
+def _binomial_mixed(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.DataFrame:
+    if test.dv == "choice":
+        own = _chosen(own, test)
+    formula = str(test.options.get("formula") or f"{dv} ~ 1")
+    return analysis.binomial_mixed(own, formula, random=test.options.get("random") or f"(1|{test.subject})")
+
+
+def _cumulative_link(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.DataFrame:
+    random = test.options.get("random") or f"(1|{test.subject})"
+    return analysis.cumulative_link(own, _formula(own, dv, test), random=random)
+
+
+def _linear_mixed(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.DataFrame:
+    return analysis.linear_mixed(
+        own, _formula(own, dv, test), random=test.options.get("random") or f"(1|{test.subject})"
+    )
+
+
+def _psychometric(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.DataFrame:
+    x = str(test.options.get("x") or "x")
+    own = own.assign(_x=column_of(own, x, test).astype(float))
+    right = _chosen(own, test)["chosen"] if test.dv == "choice" else own[dv].astype(float)
+    counted = pd.DataFrame({"x": own.loc[right.index, "_x"], "k": right}).groupby("x")["k"].agg(["sum", "count"])
+    counted = counted.rename(columns={"sum": "k", "count": "n"}).reset_index()
+    guess = float(test.options.get("p0") or 0.0)
+    return analysis.psychometric(
+        counted, x="x", k="k", n="n", link=str(test.options.get("method") or "logit"), guess=guess
+    )
+
+
+def _mcnemar(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.DataFrame:
+    x, y, people = _pair(own, dv, test)
+    if not (np.isin(x, (0, 1)).all() and np.isin(y, (0, 1)).all()):
+        wanted = "one answer (0 or 1) a participant and level"
+        raise InputError(problem(f"analysis plan: {test.name}", "mcnemar", "several answers", wanted))
+    return _with_n(analysis.mcnemar(int(np.sum(x > y)), int(np.sum(x < y)), exact=True), len(people))
+
+
+def _cochran(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.DataFrame:
+    return analysis.cochran_q(own, dv=dv, within=_first_within(test), subject=test.subject)
+
+
+def _dprime(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.DataFrame:
+    own = _chosen(own, test) if test.dv == "choice" else own.assign(chosen=own[dv])
+    people = own.groupby(test.subject, sort=False)["chosen"].agg(["sum", "count"])
+    tables = [
+        analysis.dprime(int(row["sum"]), int(row["count"]), m=2).assign(participant=str(person))
+        for person, row in people.iterrows()
+    ]
+    table = pd.concat(tables, ignore_index=True)
+    table.attrs.update(method="d' per participant, two-alternative forced choice.", n_subjects=len(people))
+    return table
+
+
+def _agreement(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.DataFrame:
+    factors = list(test.within) or [name for name in ("scene", "condition") if own[name].nunique() > 1]
+    item = own[factors].astype(str).agg(" / ".join, axis=1)
+    means = own.assign(item=item).groupby(["item", test.subject], sort=False)[dv].mean().reset_index()
+    return analysis.agreement(means, item="item", rater=test.subject, rating=dv)
+
+
+RUNNERS: dict[str, Callable[[pd.DataFrame, str, Test, Plan], pd.DataFrame]] = {
+    "rm_anova": _rm_anova,
+    "oneway_anova": _oneway,
+    "posthoc_t": _posthoc,
+    "aligned_rank_anova": _aligned_ranks,
+    "friedman": _friedman,
+    "wilcoxon": _wilcoxon,
+    "likert_summary": _likert_summary,
+    "binomial_choice": _binomial_choice,
+    "binomial_mixed": _binomial_mixed,
+    "bradley_terry": _bradley_terry,
+    "thurstone": _thurstone,
+    "cumulative_link": _cumulative_link,
+    "linear_mixed": _linear_mixed,
+    "psychometric": _psychometric,
+    "tost": _tost,
+    "mcnemar": _mcnemar,
+    "cochran_q": _cochran,
+    "dprime": _dprime,
+    "agreement": _agreement,
+}

@@ -1,0 +1,60 @@
+"""What a planned test is, and what it gave; shared by the plan and the functions that run it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import pandas as pd
+
+from stimuli.errors import InputError, problem
+
+
+@dataclass(frozen=True)
+class Test:
+    """One planned test, in the words of `protocols.analysis_plan.PlannedTest`; ``label`` names the level of
+    ``separately_by`` it stands for."""
+
+    __test__ = False  # not a test case of pytest's
+
+    name: str
+    test: str
+    dv: str = "rating"
+    within: tuple[str, ...] = ()
+    between: tuple[str, ...] = ()
+    subject: str = "participant"
+    where: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    separately_by: tuple[str, ...] = ()
+    effects: tuple[str, ...] = ()
+    options: Mapping[str, Any] = field(default_factory=dict)
+    label: str = ""
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a planned test gave: the table of `analysis`'s function (or one row that says why there is none)."""
+
+    test: Test
+    table: pd.DataFrame
+    method: str
+    n_subjects: int
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Plan:
+    """``stated``: False where it was derived from the design, since the study had none."""
+
+    tests: tuple[Test, ...]
+    alpha: float
+    adjust: str
+    stated: bool
+
+
+def column_of(table: pd.DataFrame, name: str, test: Test) -> pd.Series:
+    """A named column; InputError that names the test and the columns there are."""
+    if name not in table:
+        have = ", ".join(map(str, table.columns))
+        raise InputError(problem(f"analysis plan: {test.name}", "column", repr(name), f"one of {have}"))
+    return table[name]

@@ -1,0 +1,271 @@
+"""The report's figures: each takes the JSON data of its block and draws only what stands there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, MaxNLocator
+
+from analysis.svg import AGREE, DISAGREE, INK, MARKERS, NEUTRAL, QUIET, SERIES, SURFACE, canvas, to_svg
+
+WIDTH_PX = 430.0
+Data = Mapping[str, Any]
+
+
+def draw(plot: str, data: Data, identity: str, alt: str, simulated: bool) -> str:
+    """The SVG of one figure block. Raises KeyError for a plot that does not exist."""
+    figure = _PLOTS[plot](data)
+    return to_svg(figure, identity, alt, simulated)
+
+
+def _shorten(text: object, most: int = 22) -> str:
+    words = str(text)
+    return words if len(words) <= most else words[: most - 1] + "…"
+
+
+def _rows_axes(axes: Axes, labels: Sequence[object], most: int = 22) -> np.ndarray:
+    """Horizontal rows, the first on top; returns their y positions."""
+    y = np.arange(len(labels), dtype=float)
+    axes.set_yticks(y, [_shorten(label, most) for label in labels])
+    axes.set_ylim(len(labels) - 0.4, -0.6)
+    axes.spines["left"].set_visible(False)
+    return y
+
+
+def likert_bars(data: Data) -> Figure:
+    """Diverging stacked bars. ``rows``: label, n, shares (one a category, low to high); ``categories``: their names;
+    the middle category of an odd scale is split at zero."""
+    rows, categories = data["rows"], data["categories"]
+    n = len(categories)
+    half = n // 2
+    colors = [*_spread(DISAGREE, half), *([NEUTRAL] if n % 2 else []), *_spread(AGREE, half)]
+    with canvas(WIDTH_PX, 86 + 34 * len(rows)) as (figure, axes):
+        y = _rows_axes(axes, [f"{_shorten(row['label'])} (n {row['n']})" for row in rows], 32)
+        shares = np.array([row["shares"] for row in rows], dtype=float).reshape(len(rows), n)
+        left = -shares[:, :half].sum(axis=1) - (shares[:, half] / 2 if n % 2 else 0.0)
+        reach = float(np.max(np.abs(np.concatenate([left, left + shares.sum(axis=1)])), initial=0.1))
+        for category in range(n):
+            width = shares[:, category]
+            axes.barh(y, width, left=left, height=0.72, color=colors[category], edgecolor=SURFACE, linewidth=1.2,
+                      label=str(categories[category]))  # fmt: skip
+            left = left + width
+        axes.axvline(0, color=INK, linewidth=0.9)
+        axes.set_xlim(-reach * 1.04, reach * 1.04)
+        axes.xaxis.set_major_locator(MaxNLocator(5))
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda v, _: f"{abs(v):.0%}"))
+        axes.grid(axis="x")
+        figure.legend(loc="outside upper center", ncols=n, handlelength=1, columnspacing=0.9, handletextpad=0.4)
+    return figure
+
+
+def _spread(colors: Sequence[str], n: int) -> list[str]:
+    """n of the colours, from the first to the last (repeating where there are fewer)."""
+    if n == 0:
+        return []
+    places = np.linspace(0, len(colors) - 1, n) if n > 1 else np.array([len(colors) // 2])
+    return [colors[round(float(place))] for place in places]
+
+
+def means(data: Data) -> Figure:
+    """Means with intervals. ``x``: levels; ``series``: name, mean, low, high (one a level, null: none);
+    ``lines``: joined or not; ``people``: values of participants behind a single series; ``y_label``, ``y_limits``."""
+    levels, series = data["x"], data["series"]
+    with canvas(WIDTH_PX, 270 + (18 if len(series) > 1 else 0)) as (figure, axes):
+        x = np.arange(len(levels), dtype=float)
+        for place, people in enumerate(data.get("people") or []):
+            offset = _scatter_offsets(len(people))
+            axes.plot(place + offset, people, "o", color=QUIET, alpha=0.5, markersize=3.4, markeredgewidth=0)
+        for i, one in enumerate(series):
+            shift = 0.0 if len(series) == 1 else (i - (len(series) - 1) / 2) * min(0.14, 0.6 / len(series))
+            mean, low, high = (_numbers(one[key]) for key in ("mean", "low", "high"))
+            known = np.isfinite(mean)
+            bars = np.nan_to_num(np.stack([mean - low, high - mean]))[:, known]
+            axes.errorbar(
+                (x + shift)[known], mean[known], yerr=bars, color=SERIES[i % 6], marker=MARKERS[i % 6], markersize=5.5,
+                markeredgecolor=SURFACE, markeredgewidth=0.8, linewidth=1.6 if data.get("lines") else 0, elinewidth=1.6,
+                capsize=3, label=_shorten(one["name"], 26),
+            )  # fmt: skip
+        steep = max((len(str(level)) for level in levels), default=0) * len(levels) > 48
+        axes.set_xticks(
+            x, [_shorten(level, 18) for level in levels], rotation=28 if steep else 0, ha="right" if steep else "center"
+        )
+        axes.set_xlim(-0.5, len(levels) - 0.5)
+        if data.get("y_limits"):
+            axes.set_ylim(*data["y_limits"])
+        axes.set_ylabel(data["y_label"])
+        axes.grid(axis="y")
+        if len(series) > 1:
+            figure.legend(loc="outside upper center", ncols=min(len(series), 3), handletextpad=0.4, columnspacing=1.2)
+    return figure
+
+
+def _scatter_offsets(n: int) -> np.ndarray:
+    """Fixed sideways offsets (golden-ratio sequence), so that the picture is the same every time."""
+    return ((np.arange(n) * 0.6180339887) % 1.0 - 0.5) * 0.3
+
+
+def _numbers(values: Sequence[float | None]) -> np.ndarray:
+    return np.array([np.nan if value is None else value for value in values], dtype=float)
+
+
+def shares(data: Data) -> Figure:
+    """Shares with intervals against chance. ``rows``: label, share, low, high; ``chance``; ``x_label``."""
+    rows = data["rows"]
+    with canvas(WIDTH_PX, 72 + 34 * len(rows)) as (figure, axes):
+        y = _rows_axes(axes, [row["label"] for row in rows], 34)
+        share, low, high = (_numbers([row[key] for row in rows]) for key in ("share", "low", "high"))
+        axes.axvline(data["chance"], color=INK, linewidth=0.9, linestyle=(0, (4, 3)))
+        bars = np.clip(np.nan_to_num(np.stack([share - low, high - share])), 0, None)
+        axes.errorbar(share, y, xerr=bars, fmt="o", color=SERIES[0], markersize=6.5, elinewidth=1.8, capsize=3)
+        axes.set_xlim(-0.03, 1.03)
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:.0%}"))
+        axes.set_xlabel(data["x_label"])
+        axes.grid(axis="x")
+    return figure
+
+
+def scale(data: Data) -> Figure:
+    """A preference scale. ``rows``: item, estimate, low, high (null: no finite value); ``x_label``."""
+    rows = data["rows"]
+    with canvas(WIDTH_PX, 72 + 34 * len(rows)) as (figure, axes):
+        y = _rows_axes(axes, [row["item"] for row in rows], 28)
+        estimate, low, high = (_numbers([row[key] for row in rows]) for key in ("estimate", "low", "high"))
+        known = np.isfinite(estimate)
+        bars = np.nan_to_num(np.stack([estimate - low, high - estimate]))[:, known]
+        axes.axvline(0, color=INK, linewidth=0.9)
+        axes.errorbar(
+            estimate[known], y[known], xerr=bars, fmt="o", color=SERIES[0], markersize=6.5, elinewidth=1.8, capsize=3
+        )
+        for place in np.flatnonzero(~known):
+            axes.annotate(
+                "no finite estimate", (0.5, y[place]), xycoords=("axes fraction", "data"), ha="center", color=QUIET
+            )
+        axes.set_xlabel(data["x_label"])
+        axes.grid(axis="x")
+    return figure
+
+
+def win_matrix(data: Data) -> Figure:
+    """How often the row was chosen over the column. ``conditions``; ``wins``: rows of counts; ``answers``: of pairs."""
+    names, wins, answers = data["conditions"], np.array(data["wins"]), np.array(data["answers"])
+    n = len(names)
+    with canvas(WIDTH_PX, 120 + 44 * n) as (figure, axes):
+        for i in range(n):
+            for j in range(n):
+                if i == j or answers[i, j] == 0:
+                    continue
+                share = wins[i, j] / answers[i, j]
+                axes.fill([j - 0.5, j + 0.5, j + 0.5, j - 0.5], [i - 0.5, i - 0.5, i + 0.5, i + 0.5], color=SERIES[0],
+                          alpha=0.06 + 0.6 * share, linewidth=0)  # fmt: skip
+                axes.text(j, i, f"{wins[i, j]}/{answers[i, j]}", ha="center", va="center", fontsize=11)
+        steep = n > 2
+        axes.set_xticks(
+            range(n),
+            [_shorten(name, 16) for name in names],
+            rotation=32 if steep else 0,
+            ha="right" if steep else "center",
+        )
+        axes.set_yticks(range(n), [_shorten(name, 20) for name in names])
+        axes.set_xlim(-0.5, n - 0.5)
+        axes.set_ylim(n - 0.5, -0.5)
+        axes.set_xlabel("over this one")
+        axes.set_ylabel("chosen")
+        for side in axes.spines.values():
+            side.set_visible(False)
+    return figure
+
+
+def histogram(data: Data) -> Figure:
+    """Counts on a logarithmic axis. ``edges``, ``counts``, ``marks`` (vertical lines), ``x_label``."""
+    edges, counts = np.array(data["edges"]), np.array(data["counts"], dtype=float)
+    with canvas(WIDTH_PX, 230) as (figure, axes):
+        shown = counts > 0
+        axes.bar(
+            edges[:-1][shown], counts[shown], width=np.diff(edges)[shown], align="edge", color=SERIES[0], linewidth=0
+        )
+        for mark in data["marks"]:
+            axes.axvline(mark, color=INK, linewidth=0.9, linestyle=(0, (4, 3)))
+        axes.set_yscale("log")
+        axes.set_ylim(bottom=0.5)
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:,.0f}" if v >= 1 else ""))
+        axes.minorticks_off()
+        axes.set_xlim(edges[0], edges[-1])
+        axes.set_xlabel(data["x_label"])
+        axes.set_ylabel("refreshes")
+        axes.grid(axis="y")
+    return figure
+
+
+def trace(data: Data) -> Figure:
+    """One number a refresh. ``x``, ``y``, ``mark`` (horizontal line), ``x_label``, ``y_label``."""
+    with canvas(WIDTH_PX, 230) as (figure, axes):
+        axes.axhline(data["mark"], color=INK, linewidth=0.9, linestyle=(0, (4, 3)))
+        axes.plot(data["x"], data["y"], color=SERIES[0], linewidth=0.9)
+        axes.set_ylim(0, max([*data["y"], data["mark"]], default=1.0) * 1.15)
+        axes.set_xlabel(data["x_label"])
+        axes.set_ylabel(data["y_label"])
+        axes.grid(axis="y")
+    return figure
+
+
+def heat_map(data: Data) -> Figure:
+    """Where people looked. ``edges_x``, ``edges_y`` (degrees); ``cells``: [column, row, share] where share > 0."""
+    edges_x, edges_y, cells = np.array(data["edges_x"]), np.array(data["edges_y"]), data["cells"]
+    with canvas(WIDTH_PX, WIDTH_PX * 0.86) as (figure, axes):
+        most = max((cell[2] for cell in cells), default=1.0)
+        for column, row, share in cells:
+            x, y = edges_x[column : column + 2], edges_y[row : row + 2]
+            strength = 0.08 + 0.92 * float(np.sqrt(share / most))
+            axes.fill(
+                [x[0], x[1], x[1], x[0]],
+                [y[0], y[0], y[1], y[1]],
+                color=SERIES[0],
+                alpha=round(strength, 2),
+                linewidth=0,
+            )
+        axes.plot([0], [0], "+", color=INK, markersize=9)
+        axes.set_xlim(edges_x[0], edges_x[-1])
+        axes.set_ylim(edges_y[0], edges_y[-1])
+        axes.set_aspect("equal")
+        axes.set_xlabel("degrees to the right")
+        axes.set_ylabel("degrees up")
+    return figure
+
+
+def speed_preference(data: Data) -> Figure:
+    """Cost beside preference. ``rows``: label, cost, estimate, low, high; ``x_label``, ``y_label``."""
+    rows = data["rows"]
+    with canvas(WIDTH_PX, 290) as (figure, axes):
+        cost, estimate, low, high = (
+            _numbers([row[key] for row in rows]) for key in ("cost", "estimate", "low", "high")
+        )
+        bars = np.nan_to_num(np.stack([estimate - low, high - estimate]))
+        axes.errorbar(cost, estimate, yerr=bars, fmt="o", color=SERIES[0], markersize=6.5, elinewidth=1.6, capsize=3)
+        for row, x, y in zip(rows, cost, estimate, strict=True):
+            axes.annotate(_shorten(row["label"]), (x, y), xytext=(7, 5), textcoords="offset points", fontsize=10.5)
+        if cost.min() > 0 and cost.max() / cost.min() > 10:
+            axes.set_xscale("log")
+            axes.xaxis.set_minor_formatter(FuncFormatter(lambda v, _: ""))
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
+        axes.margins(x=0.25)
+        axes.set_xlabel(data["x_label"])
+        axes.set_ylabel(data["y_label"])
+        axes.grid(axis="both")
+    return figure
+
+
+_PLOTS: Mapping[str, Callable[[Data], Figure]] = {
+    "likert_bars": likert_bars,
+    "means": means,
+    "shares": shares,
+    "scale": scale,
+    "win_matrix": win_matrix,
+    "histogram": histogram,
+    "trace": trace,
+    "heat_map": heat_map,
+    "speed_preference": speed_preference,
+}
