@@ -179,7 +179,8 @@ def _texture_use(info: Mapping[str, Any]) -> TextureUse:
         return TextureUse(texcoord)
     (du, dv), (su, sv) = extra.get("offset", (0.0, 0.0)), extra.get("scale", (1.0, 1.0))
     turn = float(extra.get("rotation", 0.0))
-    # KHR_texture_transform: T R S on (u, v, 1), counter-clockwise seen with v downwards.
+    # T R S on (u, v, 1): counter-clockwise seen with v downwards, as the text of KHR_texture_transform has it and as
+    # viewers do it (its GLSL lines, read by columns, would turn the other way).
     rotation = np.array([[np.cos(turn), np.sin(turn), 0.0], [-np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]])
     move = np.array([[1.0, 0.0, du], [0.0, 1.0, dv], [0.0, 0.0, 1.0]])
     return TextureUse(int(extra.get("texCoord", texcoord)), move @ rotation @ np.diag([su, sv, 1.0]))

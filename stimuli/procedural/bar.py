@@ -206,7 +206,7 @@ def _bottle(kind: int) -> tuple[Mesh, Mesh]:
             shoulder + 0.045,
             shoulder + 0.065,
             shoulder + 0.075,
-            0.275,
+            0.2765,
             0.278,
             0.3,
             0.3,

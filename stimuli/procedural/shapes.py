@@ -104,31 +104,30 @@ def boxes(centres: np.ndarray, sizes: np.ndarray, inward: bool = False) -> Mesh:
 
 
 def lathe(radius_m: np.ndarray, height_m: np.ndarray, segments: int) -> Mesh:
-    """A surface of revolution about +y through the profile (radius, height); normals point outwards if heights rise."""
+    """A surface of revolution about +y through the profile (radius, height); normals point outwards if heights rise.
+
+    Profile corners sharper than 50 degrees stay edges; the others are smooth.
+    """
+    profile = np.stack([radius_m, height_m], axis=1)
+    along = np.diff(profile, axis=0)
+    along = along / np.linalg.norm(along, axis=1, keepdims=True)
+    before, after = np.concatenate([along[:1], along]), np.concatenate([along, along[-1:]])
+    sharp = np.sum(before * after, axis=1) < np.cos(np.radians(50.0))
+    smooth = np.where(sharp[:, None], before, before + after)
+    # A sharp corner is two rows in one place: the end of one strip and the start of the next.
+    row = np.repeat(np.arange(len(profile)), 1 + sharp)
+    second = np.concatenate([[False], row[1:] == row[:-1]])
+    tangent = np.where(second[:, None], after[row], smooth[row])
+    tangent = tangent / np.linalg.norm(tangent, axis=1, keepdims=True)
     angle = np.linspace(0.0, 2.0 * np.pi, segments + 1)
-    points = np.stack(
-        [
-            radius_m[:, None] * np.sin(angle),
-            np.repeat(height_m[:, None], segments + 1, axis=1),
-            radius_m[:, None] * np.cos(angle),
-        ],
-        axis=2,
-    )
+    around = np.stack([np.sin(angle), np.zeros_like(angle), np.cos(angle)], axis=1)
+    up = np.array([0.0, 1.0, 0.0])
+    points = profile[row, :1, None] * around + profile[row, 1:, None] * up
+    normals = tangent[:, 1:, None] * around - tangent[:, :1, None] * up
     u = np.broadcast_to(angle / (2.0 * np.pi), points.shape[:2])
-    v = np.broadcast_to(np.linspace(1.0, 0.0, len(radius_m))[:, None], points.shape[:2])
+    v = np.broadcast_to(np.linspace(1.0, 0.0, len(profile))[row, None], points.shape[:2])
     mesh = grid(points, np.stack([u, v], axis=2))
-    # Profile normals are exact where finite differences along a pole or a seam are not.
-    slope_r, slope_h = np.gradient(radius_m), np.gradient(height_m)
-    normal = np.stack(
-        [
-            slope_h[:, None] * np.sin(angle),
-            np.repeat(-slope_r[:, None], segments + 1, axis=1),
-            slope_h[:, None] * np.cos(angle),
-        ],
-        axis=2,
-    ).reshape(-1, 3)
-    length = np.linalg.norm(normal, axis=1, keepdims=True)
-    return Mesh(mesh.positions, normal / np.where(length > 0.0, length, 1.0), mesh.uv, _without_slivers(mesh))
+    return Mesh(mesh.positions, normals.reshape(-1, 3), mesh.uv, _without_slivers(mesh))
 
 
 def sphere(radius_m: float, rings: int = 24, segments: int = 48) -> Mesh:
@@ -223,7 +222,7 @@ def matte(
 
 
 def part(name: str, mesh: Mesh, material: Material, matrix: np.ndarray | None = None, flat: bool = False) -> Part:
-    """A `Part` of ``mesh``; texture coordinates are kept only where the material has a texture; ``flat``: no normals."""
+    """A `Part` of ``mesh``; texture coordinates only where the material has a texture; ``flat``: no normals."""
     primitive = Primitive(
         positions=mesh.positions,
         normals=None if flat else mesh.normals,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from stimuli.camera_path import KeyedCamera
-from stimuli.light_files import look_at
 from stimuli.procedural.shapes import (
     Mesh,
     box,

@@ -13,7 +13,7 @@ from stimuli.scene import PoseTrack
 
 @dataclass(frozen=True)
 class CurveTrack:
-    """Along a closed smooth curve through ``points`` (P, 3) at constant speed, a round in ``period_s``, facing -z ahead, +y up."""
+    """Along a closed smooth curve through ``points`` (P, 3) at constant speed, -z ahead, +y up, a round in ``period_s``."""
 
     points: np.ndarray
     period_s: float
@@ -66,7 +66,7 @@ class CurveTrack:
 
 @dataclass(frozen=True)
 class WheelTrack:
-    """A wheel at ``offset`` on a car: rolls about its own x axis by the distance driven, steers where ``wheelbase_m`` > 0."""
+    """A wheel at ``offset`` on a car: rolls about its x axis as the car drives, steers where ``wheelbase_m`` > 0."""
 
     car: CurveTrack
     offset: tuple[float, float, float]
@@ -84,7 +84,7 @@ class WheelTrack:
 
 @dataclass(frozen=True)
 class SwingTrack:
-    """A joint: at ``offset`` in its parent's space, swinging about a main axis by amplitude * sin(2 pi t / period + phase) + bias."""
+    """A joint at ``offset`` in its parent's space: about a main axis by bias + amplitude sin(2 pi t / period + phase)."""
 
     parent: PoseTrack
     offset: tuple[float, float, float]
