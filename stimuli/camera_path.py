@@ -187,7 +187,9 @@ def read_camera_path(file: Path, yfov_rad: float) -> KeyedCamera:
     entries = tree.get("keys")
     if not isinstance(entries, list) or not entries:
         raise InputError(*problems, problem(file, "keys", entries, "a list of at least one key"))
-    times, places, turns = [], [], []
+    times: list[float] = []
+    places: list[np.ndarray] = []
+    turns: list[np.ndarray] = []
     for number, entry in enumerate(entries):
         where = f"{file}: key {number}"
         before = len(problems)
@@ -198,11 +200,11 @@ def read_camera_path(file: Path, yfov_rad: float) -> KeyedCamera:
             problems.append(problem(where, "time_s", time, f"later than {times[-1]}"))
         place = _vector(entry, "position", 3, where, problems)
         turn = _orientation(entry, place, where, problems)
-        if len(problems) == before:
+        if time is not None and place is not None and turn is not None and len(problems) == before:
             times.append(float(time))
             places.append(place)
             turns.append(turn)
-    yfov = tree.get("yfov_deg", np.degrees(yfov_rad))
+    yfov: Any = tree.get("yfov_deg", np.degrees(yfov_rad))
     if not isinstance(yfov, (int, float)) or not 0.0 < yfov < 180.0:
         problems.append(problem(file, "yfov_deg", yfov, "degrees between 0 and 180"))
     interpolation = tree.get("interpolation", "spline")

@@ -300,7 +300,7 @@ def _neon() -> list[Part]:
     )
     loop = np.stack(
         [
-            2.5 + 0.5 * np.sin(2 * np.pi * t) * (0.6 + 0.4 * np.cos(4 * np.pi * t)),
+            2.5 + 0.5 * np.sin(2 * np.pi * t),
             2.7 + 0.2 * np.sin(4 * np.pi * t),
             np.full(160, back),
         ],

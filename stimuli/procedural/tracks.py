@@ -13,7 +13,7 @@ from stimuli.scene import PoseTrack
 
 @dataclass(frozen=True)
 class CurveTrack:
-    """Along a closed smooth curve through ``points`` (P, 3) at constant speed, -z ahead, +y up, a round in ``period_s``."""
+    """Round a smooth curve through ``points`` (P, 3) at constant speed, -z ahead, +y up; a round takes ``period_s``."""
 
     points: np.ndarray
     period_s: float
@@ -84,7 +84,7 @@ class WheelTrack:
 
 @dataclass(frozen=True)
 class SwingTrack:
-    """A joint at ``offset`` in its parent's space: about a main axis by bias + amplitude sin(2 pi t / period + phase)."""
+    """A joint at ``offset`` in its parent: about a main axis by bias + amplitude sin(2 pi t / period + phase)."""
 
     parent: PoseTrack
     offset: tuple[float, float, float]
