@@ -1,4 +1,5 @@
-"""From session files to statistics and a report; the public names are loaded when they are first asked for (PEP 562)."""
+"""From session files to statistics and a report; the public names are loaded when they are first asked for (PEP
+562)."""
 
 from __future__ import annotations
 
@@ -19,7 +20,7 @@ _HOME = {
     "describe": "likert",
     "binomial_choice": "preference",
     "bradley_terry": "paired_comparison",
-    "thurstone": "paired_comparison",
+    "thurstone": "thurstone",
     "compare_items": "paired_comparison",
     "circular_triads": "observers",
     "screen_observers": "observers",

@@ -102,7 +102,9 @@ def _icc_rows(values: np.ndarray, rounding: float) -> list[dict[str, Any]]:
     msr, msc, mse, msw = (ms if ms > zero else 0.0 for ms in _mean_squares(values))
     found: dict[str, tuple[float, float, float] | None] = {
         "ICC1": _consistency(msr / msw if msw else math.inf, n, k, n * (k - 1)) if msr or msw else None,
-        "ICC2": (_absolute(msr, msc, mse, n, k) if mse else _without_rest(msr, msc, n, k)) if msr or msc or mse else None,
+        "ICC2": (_absolute(msr, msc, mse, n, k) if mse else _without_rest(msr, msc, n, k))
+        if msr or msc or mse
+        else None,
         "ICC3": _consistency(msr / mse if mse else math.inf, n, k, (n - 1) * (k - 1)) if msr or mse else None,
     }
     rows: list[dict[str, Any]] = []
@@ -112,7 +114,7 @@ def _icc_rows(values: np.ndarray, rounding: float) -> list[dict[str, Any]]:
             if triple is None:
                 rows.append(row | empty | {"status": UNDEFINED, "note": "the ratings do not vary"})
                 continue
-            value, low, high = ((_of_mean(v, k) for v in triple) if mean else triple)
+            value, low, high = (_of_mean(v, k) for v in triple) if mean else triple
             row |= {"value": value, "ci_low": low, "ci_high": high, "status": OK, "note": ""}
             if (mse if name != "ICC1" else msw) == 0:
                 row |= {"status": ZERO_ERROR_VARIANCE, "note": "the residual variance is zero"}

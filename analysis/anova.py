@@ -38,10 +38,28 @@ ONEWAY_COLUMNS = ["effect", "df1", "df2", "ss", "ss_error", "F", "p", "log10_p",
 
 def effect_rows_columns() -> list[str]:
     """Columns of the repeated-measures table, in order."""
-    return (
-        "effect df1 df2 ss ss_error F p log10_p eps_gg eps_hf p_gg p_hf mauchly_w mauchly_p eta2_partial "
-        "eta2_partial_low eta2_partial_high eta2_generalized eta2_generalized_low eta2_generalized_high"
-    ).split()
+    return [
+        "effect",
+        "df1",
+        "df2",
+        "ss",
+        "ss_error",
+        "F",
+        "p",
+        "log10_p",
+        "eps_gg",
+        "eps_hf",
+        "p_gg",
+        "p_hf",
+        "mauchly_w",
+        "mauchly_p",
+        "eta2_partial",
+        "eta2_partial_low",
+        "eta2_partial_high",
+        "eta2_generalized",
+        "eta2_generalized_low",
+        "eta2_generalized_high",
+    ]
 
 
 def effects_of(factors: Sequence[str]) -> list[tuple[str, ...]]:
@@ -167,8 +185,9 @@ def rm_anova(
     Repetitions are averaged per participant and cell. Participants who lack a cell are left out and named, with the
     cell, in ``attrs['dropped']``. F and p are uncorrected; ``p_gg`` and ``p_hf`` are corrected for sphericity.
     Effects within two levels (and between participants) need no correction: their epsilons, W and Mauchly's p are 1.
-    Generalized eta squared: Olejnik & Algina (2003), all factors manipulated. Intervals are ``eta2_level`` (0.90: without
-    0 exactly where p < .05) by the noncentral F distribution. Raises InputError for unknown or repeated columns.
+    Generalized eta squared: Olejnik & Algina (2003), all factors manipulated. Intervals are ``eta2_level`` (0.90:
+    without 0 exactly where p < .05) by the noncentral F distribution. Raises InputError for unknown or repeated
+    columns.
     """
     factors, groups = names_of(within), names_of(between)
     named = [dv, subject, *factors, *groups]
@@ -227,9 +246,7 @@ def anova_of_cells(
             name = (*group_effect, *stratum)
             if not name or (effects is not None and name not in effects):
                 continue
-            rows.append(
-                _effect_row(name, z, model, columns[group_effect], fit, error, n, rank, full, rounding)
-            )
+            rows.append(_effect_row(name, z, model, columns[group_effect], fit, error, n, rank, full, rounding))
     # Generalized eta squared takes the error of every stratum into its denominator.
     total_error = sum(errors.values())
     for row in rows:
@@ -260,7 +277,8 @@ def _between_model(
         size = len(found)
         sums = np.vstack([np.eye(max(size - 1, 0)), -np.ones((1, max(size - 1, 0)))]) if size else np.zeros((1, 0))
         coding.append(sums[groups[:, j]] if n else np.zeros((0, sums.shape[1])))
-    parts, columns, used = [np.ones((n, 1))], {(): [0]}, 1
+    parts, used = [np.ones((n, 1))], 1
+    columns: dict[tuple[str, ...], list[int]] = {(): [0]}
     for effect in effects_of(between):
         part = np.ones((n, 1))
         for name in effect:

@@ -69,7 +69,7 @@ def cell_means(where: str, table: pd.DataFrame, dv: str, within: list[str], subj
     factor = [coded(table, name) for name in within]
     group = [coded(table, name) for name in between]
     person, subjects = coded(table, subject)
-    known = person >= 0
+    known: np.ndarray = person >= 0
     for codes, _ in factor + group:
         known &= codes >= 0
     notes: list[str] = []
@@ -89,7 +89,7 @@ def cell_means(where: str, table: pd.DataFrame, dv: str, within: list[str], subj
     total = np.bincount(index, weights=y[use], minlength=n * width).reshape(n, width)
     with np.errstate(invalid="ignore", divide="ignore"):
         values = total / count
-    complete = (count > 0).all(axis=1) if width else np.zeros(n, dtype=bool)
+    complete = np.asarray((count > 0).all(axis=1)) if width else np.zeros(n, dtype=bool)
     dropped: dict[Any, str] = {}
     for i in np.flatnonzero(~complete):
         empty = np.flatnonzero(count[i] == 0)

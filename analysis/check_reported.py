@@ -53,8 +53,16 @@ def check_reported(statistic: Any, df: Any, p: Any, kind: str = "F") -> pd.DataF
     else:
         consistent = lowest <= reported + around and highest >= reported - around
     row = {
-        "kind": kind, "statistic": value, "df1": dfs[0] if dfs else math.inf, "df2": dfs[1] if len(dfs) > 1 else math.inf,
-        "p_reported": reported, "p_computed": computed(size), "p_lowest": lowest, "p_highest": highest,
-        "consistent": bool(consistent), "status": OK, "note": "" if consistent else "p does not follow from the statistic",
-    }  # fmt: skip
+        "kind": kind,
+        "statistic": value,
+        "df1": dfs[0] if dfs else math.inf,
+        "df2": dfs[1] if len(dfs) > 1 else math.inf,
+        "p_reported": reported,
+        "p_computed": computed(size),
+        "p_lowest": lowest,
+        "p_highest": highest,
+        "consistent": bool(consistent),
+        "status": OK,
+        "note": "" if consistent else "p does not follow from the statistic",
+    }
     return result_table([row], COLUMNS, method="p recomputed from the reported statistic and df.", n_subjects=0)

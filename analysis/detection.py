@@ -30,7 +30,7 @@ def proportion_correct(d: float, m: int) -> float:
 
 def _choice_row(k: float, n: float, m: int) -> dict[str, Any]:
     if n == 0:
-        return dict.fromkeys(COLUMNS, math.nan) | {"status": UNDEFINED, "note": "no answers"}
+        return {**dict.fromkeys(COLUMNS, math.nan), "status": UNDEFINED, "note": "no answers"}
     share = k / n
     if share in (0.0, 1.0):
         d = math.inf if share == 1 else -math.inf
@@ -57,14 +57,20 @@ def _detection_row(hits: float, misses: float, alarms: float, rejections: float,
     signal, noise = hits + misses, alarms + rejections
     if signal == 0 or noise == 0:
         lacking = "signal" if signal == 0 else "noise"
-        return dict.fromkeys(COLUMNS, math.nan) | {"status": UNDEFINED, "note": f"no {lacking} trials"}
+        return {**dict.fromkeys(COLUMNS, math.nan), "status": UNDEFINED, "note": f"no {lacking} trials"}
     h, f = hits / signal, alarms / noise
     zh, zf = float(special.ndtri(h)), float(special.ndtri(f))
     d = zh - zf
     if not (0 < h < 1 and 0 < f < 1):
         criterion = -(zh + zf) / 2
         note = "a hit or false alarm rate is 0 or 1: no finite d' (correction='loglinear' bounds it)"
-        row = {"dprime": d, "se": math.inf, "criterion": criterion, "ci_low": -math.inf, "ci_high": math.inf}
+        row: dict[str, Any] = {
+            "dprime": d,
+            "se": math.inf,
+            "criterion": criterion,
+            "ci_low": -math.inf,
+            "ci_high": math.inf,
+        }
         return row | {"status": UNDEFINED if math.isnan(d) else BOUNDARY, "note": note}
     # Gourevitch & Galanter (1967).
     variance = h * (1 - h) / (signal * _density(zh) ** 2) + f * (1 - f) / (noise * _density(zf) ** 2)
@@ -86,15 +92,16 @@ def dprime(
     """d' of detection counts, ``(hits, misses, false_alarms, correct_rejections)``, or of ``(k, n, m=2)``: k of n
     choices among m right. Counts or arrays of them; a row each.
 
-    ``se``: Gourevitch & Galanter (1967) for detection, the delta method for choice; ``criterion`` c = -(z(H) + z(F)) / 2,
-    0 for choice, where an unbiased observer is assumed. ``correction``: 'none' (rates of 0 or 1 give infinite d', status
-    ``boundary``) or 'loglinear' (Hautus 1995: 0.5 added to every count). Raises InputError for negative counts, k > n.
+    ``se``: Gourevitch & Galanter (1967) for detection, the delta method for choice; ``criterion`` c = -(z(H) + z(F))
+    / 2, 0 for choice, where an unbiased observer is assumed. ``correction``: 'none' (rates of 0 or 1 give infinite
+    d', status ``boundary``) or 'loglinear' (Hautus 1995: 0.5 added to every count). Raises InputError for negative
+    counts, k > n.
     """
     if correction not in ("none", "loglinear"):
         raise InputError(problem("dprime", "correction", repr(correction), "'none' or 'loglinear'"))
     added = 0.5 if correction == "loglinear" else 0.0
     if false_alarms is None and correct_rejections is None:
-        given = (hits if k is None else k, misses if n is None else n)
+        given: tuple[Any, ...] = (hits if k is None else k, misses if n is None else n)
     else:
         given = (hits, misses, false_alarms, correct_rejections)
     if any(v is None for v in given):
@@ -112,6 +119,9 @@ def dprime(
         rows = [_choice_row(one + added, total + 2 * added, int(m)) for one, total in pairs]
         method = f"d' of {m}-alternative forced choice, unbiased observer assumed (criterion 0)."
     else:
-        rows = [_detection_row(*counts, added) for counts in zip(*(a.ravel().tolist() for a in arrays), strict=True)]
+        rows = [
+            _detection_row(h, miss, f, r, added)
+            for h, miss, f, r in zip(*(a.ravel().tolist() for a in arrays), strict=True)
+        ]
         method = "d' = z(H) - z(F), equal-variance normal model."
     return result_table(rows, COLUMNS, method=method + ("" if added == 0 else " Log-linear correction."), n_subjects=0)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
-from scipy import special
+from scipy import optimize, special
 
 
 def noncentral_f_cdf(f: float, df1: float, df2: float, noncentrality: float) -> float:
@@ -28,16 +28,12 @@ def noncentral_f_cdf(f: float, df1: float, df2: float, noncentrality: float) -> 
 
 
 def _solve(function: Callable[[float], float], low: float, high: float) -> float:
-    """Root of a decreasing function by bisection to the last digits."""
-    for _ in range(200):
-        middle = (low + high) / 2
-        if middle in (low, high):
-            break
-        if function(middle) > 0:
-            low = middle
-        else:
-            high = middle
-    return (low + high) / 2
+    """Root of a decreasing function between two bounds (the bound itself where the function has no root there)."""
+    if function(low) <= 0:
+        return low
+    if function(high) >= 0:
+        return high
+    return float(optimize.brentq(function, low, high, xtol=1e-13, rtol=1e-14, maxiter=300))
 
 
 def noncentrality_interval(f: float, df1: float, df2: float, level: float) -> tuple[float, float]:

@@ -32,7 +32,9 @@ def tost(x: Any, y: Any = None, low: float = -1.0, high: float = 1.0, alpha: flo
     n = len(a)
     row: dict[str, Any] = dict.fromkeys(COLUMNS, math.nan) | {"n": n, "df": max(n - 1, 0)}
     dropped = {"missing": f"{missing} pairs without both values"} if missing else {}
-    method = f"Two one-sided paired t tests against [{low:g}, {high:g}], {1 - 2 * alpha:.0%} interval, {n} participants."
+    method = (
+        f"Two one-sided paired t tests against [{low:g}, {high:g}], {1 - 2 * alpha:.0%} interval, {n} participants."
+    )
     if n < 2:
         row |= {"status": TOO_FEW_SUBJECTS, "note": f"{n} participants, at least 2 are needed"}
         return result_table([row], COLUMNS, method=method, n_subjects=n, dropped=dropped)

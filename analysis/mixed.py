@@ -2,8 +2,8 @@
 
 V = s0 I + sum_k s_k Z_k Z_k'. With P = V^-1 - V^-1 X (X'V^-1 X)^-1 X'V^-1 every derivative of the restricted
 log-likelihood follows from Z'PZ and Z'Py (those of the residual variance from V = sum s_k V_k), so that nothing larger
-than the number of random effects is inverted (Johnson & Thompson 1995; Woodbury's identity). The design is taken through
-QR after centring and scaling, so that the coefficients keep the digits of the data.
+than the number of random effects is inverted (Johnson & Thompson 1995; Woodbury's identity). The design is taken
+through QR after centring and scaling, so that the coefficients keep the digits of the data.
 """
 
 from __future__ import annotations
@@ -15,11 +15,12 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy import linalg, optimize, special
+from scipy import linalg, special
 
 from analysis.cells import shift_and_scale
-from analysis.formula import ModelFrame, RandomTerm, independent_columns, model_frame
+from analysis.formula import ModelFrame, independent_columns, model_frame
 from analysis.log_tails import log10_f, log10_t, p_f, p_t
+from analysis.reml import Reml, maximise
 from analysis.results import (
     BOUNDARY,
     NOT_CONVERGED,
@@ -73,124 +74,6 @@ def _design(frame: ModelFrame) -> Design:
     return Design(q, back, labels, aliased, place)
 
 
-class Reml:
-    """Restricted likelihood of variances (residual first) for a response and an orthonormal design."""
-
-    def __init__(self, y: np.ndarray, q: np.ndarray, random: list[RandomTerm]) -> None:
-        self.n, self.p = q.shape
-        sizes = [len(np.unique(term.codes)) for term in random]
-        z = np.zeros((self.n, sum(sizes)))
-        for term, start in zip(random, np.cumsum([0, *sizes[:-1]]), strict=True):
-            z[np.arange(self.n), start + term.codes] = term.design
-        self.owner = np.repeat(np.arange(len(random)), sizes)
-        self.zz, self.zq, self.zy = z.T @ z, z.T @ q, z.T @ y
-        self.qy, self.yy = q.T @ y, float(y @ y)
-
-    def state(self, variances: np.ndarray) -> dict[str, Any]:
-        """Restricted log-likelihood, its gradient and (negative) Hessian by the variances, and the coefficients."""
-        s0, s = variances[0], variances[1:]
-        d = np.sqrt(s[self.owner])
-        # V^-1 = (I - Z D A^-1 D Z') / s0 with A = s0 I + D Z'Z D.
-        a = s0 * np.eye(len(d)) + d[:, None] * self.zz * d
-        factor = linalg.cho_factor(a, lower=True)
-
-        def through(left: np.ndarray, right: np.ndarray, plain: np.ndarray) -> np.ndarray:
-            inner = linalg.cho_solve(factor, d[:, None] * right)
-            return np.asarray((plain - (d[:, None] * left).T @ inner) / s0)
-
-        zy, qy = self.zy[:, None], self.qy[:, None]
-        x_v_x = through(self.zq, self.zq, np.eye(self.p))
-        x_v_y = through(self.zq, zy, qy)[:, 0]
-        y_v_y = float(through(zy, zy, np.array([[self.yy]]))[0, 0])
-        z_v_x, z_v_z = through(self.zz, self.zq, self.zq), through(self.zz, self.zz, self.zz)
-        z_v_y = through(self.zz, zy, zy)[:, 0]
-        inverse = np.linalg.inv(x_v_x)
-        beta = inverse @ x_v_y
-        y_p_y = y_v_y - float(x_v_y @ beta)
-        z_p_z, z_p_y = z_v_z - z_v_x @ inverse @ z_v_x.T, z_v_y - z_v_x @ beta
-        log_det_v = self.n * math.log(s0) + 2 * float(np.sum(np.log(np.diag(factor[0])))) - len(d) * math.log(s0)
-        value = -0.5 * (
-            log_det_v + float(np.linalg.slogdet(x_v_x)[1]) + y_p_y + (self.n - self.p) * math.log(2 * math.pi)
-        )
-        k = len(s)
-        block = [self.owner == j for j in range(k)]
-        trace = np.array([float(np.trace(z_p_z[np.ix_(b, b)])) for b in block])
-        square = np.array([float(z_p_y[b] @ z_p_y[b]) for b in block])
-        tr_p, y_pp_y = (self.n - self.p - float(s @ trace)) / s0, (y_p_y - float(s @ square)) / s0
-        gradient = 0.5 * np.concatenate([[y_pp_y - tr_p], square - trace])
-        # Negative second derivatives; those with V itself are known, and V = s0 I + sum s_k V_k gives the rest.
-        hessian = np.zeros((k + 1, k + 1))
-        for i in range(k):
-            for j in range(k):
-                part = z_p_z[np.ix_(block[i], block[j])]
-                hessian[i + 1, j + 1] = float(z_p_y[block[i]] @ part @ z_p_y[block[j]]) - 0.5 * float(np.sum(part**2))
-        with_v = square - 0.5 * trace
-        hessian[0, 1:] = hessian[1:, 0] = (with_v - hessian[1:, 1:] @ s) / s0 if k else 0.0
-        hessian[0, 0] = ((y_pp_y - 0.5 * tr_p) - float(s @ hessian[0, 1:])) / s0
-        return {
-            "value": value, "gradient": gradient, "information": hessian, "beta": beta, "covariance": inverse,
-            "z_v_x": z_v_x, "x_v_x": x_v_x, "block": block, "y_p_y": y_p_y,
-        }  # fmt: skip
-
-    def covariance_slopes(self, state: dict[str, Any], variances: np.ndarray) -> list[np.ndarray]:
-        """d Cov(beta) / d variance, residual first."""
-        c = state["covariance"]
-        by_random = []
-        for b in state["block"]:
-            zx = state["z_v_x"][b]
-            by_random.append(c @ zx.T @ zx @ c)
-        # Cov(beta) is homogeneous of degree 1 in the variances.
-        weighted = sum((s * m for s, m in zip(variances[1:], by_random, strict=True)), np.zeros_like(c))
-        return [(c - weighted) / variances[0], *by_random]
-
-
-def _maximise(reml: Reml, start: np.ndarray) -> tuple[np.ndarray, bool]:
-    """Variances at the maximum: L-BFGS-B on logarithms of the residual and on standard deviation ratios, then Newton."""
-    k = len(start) - 1
-
-    def unpack(work: np.ndarray) -> np.ndarray:
-        return np.concatenate([[1.0], work**2]) * math.exp(work_scale(work))
-
-    def work_scale(work: np.ndarray) -> float:
-        # The residual variance that is best for given ratios has a closed form.
-        state = reml.state(np.concatenate([[1.0], work**2]))
-        return math.log(max(state["y_p_y"], 1e-300) / (reml.n - reml.p))
-
-    def objective(work: np.ndarray) -> tuple[float, np.ndarray]:
-        variances = unpack(work)
-        state = reml.state(variances)
-        return -state["value"], -(state["gradient"][1:] * 2 * work * variances[0])
-
-    best: tuple[float, np.ndarray] | None = None
-    for ratio in (1.0, 0.1):
-        found = optimize.minimize(
-            objective, np.full(k, ratio), jac=True, method="L-BFGS-B", bounds=[(0.0, 1e4)] * k,
-            options={"ftol": 1e-14, "gtol": 1e-8, "maxiter": 500},
-        )  # fmt: skip
-        if best is None or found.fun < best[0]:
-            best = (float(found.fun), found.x)
-    assert best is not None
-    variances = unpack(best[1])
-    variances[1:][variances[1:] < 1e-8 * variances[0]] = 0.0
-    free = variances > 0
-    converged = False
-    for _ in range(30):
-        state = reml.state(variances)
-        step = np.zeros(k + 1)
-        step[free] = np.linalg.lstsq(state["information"][np.ix_(free, free)], state["gradient"][free], rcond=None)[0]
-        trial = variances + step
-        size = float(np.max(np.abs(step / np.where(free, variances, 1.0))))
-        if size < 1e-7:
-            converged = True
-        if size < 1e-12 or not (trial[free] > 0).all() or size > 0.5:
-            break
-        if reml.state(trial)["value"] < state["value"] - 1e-9 * abs(state["value"]):
-            break
-        variances = trial
-    gradient = reml.state(variances)["gradient"][free] * variances[free]
-    return variances, converged or bool(np.max(np.abs(gradient)) < 1e-3)
-
-
 def linear_mixed(
     table: pd.DataFrame, formula: str, random: str | Sequence[str] | None = None, level: float = 0.95
 ) -> pd.DataFrame:
@@ -233,7 +116,9 @@ def linear_mixed(
     rss = math.fsum(residual**2)
     if not rss > rounding**2 * n:
         beta = _in_unit(design, gamma, scale, offset)
-        return made([_exact_row(t, float(b), float(rounding * scale)) for t, b in zip(design.labels, beta, strict=True)])
+        return made(
+            [_exact_row(t, float(b), float(rounding * scale)) for t, b in zip(design.labels, beta, strict=True)]
+        )
     if not frame.random:
         variance = rss / (n - p)
         _least_squares_attrs(attrs, y, rss, variance, n, p, scale, has_intercept)
@@ -259,7 +144,7 @@ def _mixed_rows(
     # The response without its least-squares fit: same variances, and no digits lost to large fixed effects.
     unit = math.sqrt(float(residual @ residual) / (n - p))
     reml = Reml(residual / unit, design.q, frame.random)
-    variances, converged = _maximise(reml, np.ones(len(frame.random) + 1))
+    variances, converged = maximise(reml, np.ones(len(frame.random) + 1))
     if not variances[0] > max((rounding / unit) ** 2, 1e-16):
         note = "nothing varies but the random effects: the residual variance is zero"
         return [_nothing(t, ZERO_ERROR_VARIANCE, note) for t in design.labels]

@@ -11,7 +11,7 @@ import pandas as pd
 from scipy import special
 
 from analysis.log_tails import p_chi2
-from analysis.paired_comparison import _compare, _solve
+from analysis.paired_comparison import count_comparisons, solve
 from analysis.results import OK, UNDEFINED, coded, require_columns, result_table
 
 
@@ -67,7 +67,7 @@ def screen_observers(table: pd.DataFrame, winner: str, loser: str, observer: str
     The scale is fitted without the observer (Bradley-Terry). A distance above 1.5 interquartile ranges below the lower
     quartile is flagged (Perez-Ortiz & Mantiuk 2017): a reason to look, not to exclude.
     """
-    found = _compare("screen_observers", table, winner, loser, None, None, observer, None)
+    found = count_comparisons("screen_observers", table, winner, loser, None, None, observer, None)
     counts, names = found.counts, found.observers
     pairs = found.pairs
     value = np.full(len(names), math.nan)
@@ -75,7 +75,7 @@ def screen_observers(table: pd.DataFrame, winner: str, loser: str, observer: str
         rest = counts.sum(axis=0) - counts[i]
         # Half an answer each way keeps the others' scale finite.
         smooth = pairs.reweighted(rest[0] + 0.5, rest[1] + 0.5, 0 * rest[2])
-        ability = _solve(type(found)(found.items, smooth, [], counts, {}), "logit", False, False)["ability"]
+        ability = solve(type(found)(found.items, smooth, [], counts, {}), "logit", False, False)["ability"]
         eta = ability[pairs.first] - ability[pairs.second]
         log_p = special.log_expit(eta) * counts[i, 0] + special.log_expit(-eta) * counts[i, 1]
         value[i] = log_p.sum() / counts[i].sum()

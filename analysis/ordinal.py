@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from typing import Any
@@ -40,17 +41,17 @@ def cumulative_link(
 ) -> pd.DataFrame:
     """Cumulative link (mixed) model by maximum likelihood: P(Y <= j) = F(threshold_j - x'b - u).
 
-    ``formula`` 'rating ~ a * b'; categories in numeric, categorical or sorted order, unused ones left out. Terms are named
-    as R names them, thresholds ``1|2`` first. ``random``: '(1|participant)' or the column's name: normal intercepts,
-    integrated by adaptive Gauss-Hermite quadrature with ``nodes`` nodes (1: Laplace); several, a list: Laplace.
-    ``link``: logit, probit, cloglog. ``attrs``: log_likelihood, aic, n, random_sd {name: SD}. A random SD of 0 makes
-    rows ``boundary`` (the numbers are those of the model without it). Complete or quasi-complete separation is found
-    before fitting by linear programming. Raises InputError for unknown columns or formulas.
+    ``formula`` 'rating ~ a * b'; categories in numeric, categorical or sorted order, unused ones left out. Terms are
+    named as R names them, thresholds ``1|2`` first. ``random``: '(1|participant)' or the column's name: normal
+    intercepts, integrated by adaptive Gauss-Hermite quadrature with ``nodes`` nodes (1: Laplace); several, a list:
+    Laplace. ``link``: logit, probit, cloglog. ``attrs``: log_likelihood, aic, n, random_sd {name: SD}. A random SD
+    of 0 makes rows ``boundary`` (the numbers are those of the model without it). Complete or quasi-complete
+    separation is found before fitting by linear programming. Raises InputError for unknown columns or formulas.
     """
     one_of("cumulative_link", "link", link, LINKS)
     frame = model_frame("cumulative_link", table, formula, random)
     codes, levels = coded(table.iloc[frame.rows], frame.response)
-    names = [f"{a}|{b}" for a, b in zip(levels, levels[1:], strict=False)]
+    names = [f"{a}|{b}" for a, b in itertools.pairwise(levels)]
     keep = [j for j, term in enumerate(frame.terms) if term != "(Intercept)"]
     x, terms = frame.x[:, keep], [frame.terms[j] for j in keep]
     # The thresholds take the place of the intercept: what is constant is aliased.
@@ -95,7 +96,9 @@ def binomial_mixed(
             raise InputError(message) from None
         y = codes.astype(float)
     if not np.isin(y, (0.0, 1.0)).all():
-        raise InputError(problem("binomial_mixed", f"column {frame.response!r}", "other values", "true or false (1 or 0)"))
+        raise InputError(
+            problem("binomial_mixed", f"column {frame.response!r}", "other values", "true or false (1 or 0)")
+        )
     used = independent_columns(frame.x)
     aliased = [t for k, t in enumerate(frame.terms) if k not in set(used.tolist())]
     labels, x = [frame.terms[k] for k in used], frame.x[:, used]

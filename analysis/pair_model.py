@@ -1,8 +1,8 @@
 """Maximum likelihood of paired-comparison models: the fit behind Bradley-Terry and Thurstone.
 
 P(i beats j) = F(a_i - a_j + order), F logistic or normal; with ties Davidson's (1970) model
-P(tie) ~ nu sqrt(pi_i pi_j), pi = exp(a). Whether a finite maximum exists is decided on the graph of wins before anything
-is fitted (Ford 1957; Zermelo 1929): it must be strongly connected.
+P(tie) ~ nu sqrt(pi_i pi_j), pi = exp(a). Whether a finite maximum exists is decided on the graph of wins before
+anything is fitted (Ford 1957; Zermelo 1929): it must be strongly connected.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Scales from paired comparisons: Bradley-Terry (ties, order effect) and Thurstone's Case V in JOD."""
+"""Bradley-Terry scales from paired comparisons, with ties and order effect; what Thurstone's scale shares with them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ from analysis.pair_model import (
     Pairs,
     components,
     design,
-    fit_many,
     fit_pairs,
     log_coefficients,
     saturated_deviance,
@@ -71,7 +70,7 @@ def _first_shown(where: str, table: pd.DataFrame, column: str, winner: str, lose
     return np.where(flags == 1, 1.0, np.where(flags == 0, -1.0, 0.0))
 
 
-def _compare(
+def count_comparisons(
     where: str,
     table: pd.DataFrame,
     winner: str,
@@ -122,7 +121,7 @@ def _compare(
     return Comparisons(items, pairs, kept, counts[seen] if observers else counts, dropped)
 
 
-def _solve(comparisons: Comparisons, link: str, with_ties: bool, with_order: bool) -> dict[str, Any]:
+def solve(comparisons: Comparisons, link: str, with_ties: bool, with_order: bool) -> dict[str, Any]:
     """Fit what can be fitted: abilities and covariance of all items, a status and note each, and the fit."""
     items, pairs = comparisons.items, comparisons.pairs
     m = len(items)
@@ -135,7 +134,7 @@ def _solve(comparisons: Comparisons, link: str, with_ties: bool, with_order: boo
         ability[:] = np.nan
         return solved
     weak, strong, reach = components(pairs, m)
-    use = np.arange(m)
+    use: np.ndarray = np.arange(m)
     if strong.max() > 0:
         use = np.flatnonzero(strong == strong[0])
         cut = DISCONNECTED if weak.max() > 0 else SEPARATED
@@ -163,11 +162,11 @@ def _solve(comparisons: Comparisons, link: str, with_ties: bool, with_order: boo
     ability[use[1:]] = fit.parameters[:free]
     covariance[np.ix_(use[1:], use[1:])] = fit.covariance[:free, :free]
     if not fit.converged:
-        for i in use:
+        for i in use.tolist():
             status[i], note[i] = NOT_CONVERGED, "the search for the maximum did not end"
         if with_order or with_ties or float(np.max(np.abs(fit.parameters), initial=0.0)) >= 25:
             solved["separation"] = True
-            for i in use:
+            for i in use.tolist():
                 status[i], note[i] = SEPARATED, "the order effect or the ties separate the answers: no finite maximum"
     return solved | {"fit": fit, "pairs": part, "x": x, "use": use, "inside": inside}
 
@@ -211,18 +210,18 @@ def bradley_terry(
     """Bradley & Terry's (1952) abilities in logits by maximum likelihood, the first item (in order) at 0.
 
     A row of ``table`` is a comparison, or ``count`` of them. ``ties``: column, true where the two were called equal
-    (Davidson 1970; its log nu in ``attrs['tie_parameter']``). ``order_effect``: column with the item presented first (or
-    1 / 0: the winner was or was not; True looks for a column ``first``); the advantage, in logits, is in
-    ``attrs['order_effect']``. With ``observer`` the standard errors are those of the sandwich over observers and intervals
-    use t with observers - 1 degrees of freedom; without, every comparison counts as independent. ``jod``, ``jod_se``:
-    the same over ln 3. ``attrs``: log_likelihood (with binomial coefficients), deviance, df_residual, p_gof, separation,
-    covariance (items by items). Where no finite maximum exists every row says ``separated`` or ``disconnected`` and
-    abilities are infinite or nan. Raises InputError for unknown columns.
+    (Davidson 1970; its log nu in ``attrs['tie_parameter']``). ``order_effect``: column with the item presented first
+    (or 1 / 0: the winner was or was not; True looks for a column ``first``); the advantage, in logits, is in
+    ``attrs['order_effect']``. With ``observer`` the standard errors are those of the sandwich over observers and
+    intervals use t with observers - 1 degrees of freedom; without, every comparison counts as independent. ``jod``,
+    ``jod_se``: the same over ln 3. ``attrs``: log_likelihood (with binomial coefficients), deviance, df_residual,
+    p_gof, separation, covariance (items by items). Where no finite maximum exists every row says ``separated`` or
+    ``disconnected`` and abilities are infinite or nan. Raises InputError for unknown columns.
     """
-    comparisons = _compare(
+    comparisons = count_comparisons(
         "bradley_terry", table, winner, loser, ties, _order_column(table, order_effect), observer, count
     )
-    solved = _solve(comparisons, "logit", _any(comparisons.pairs.ties), bool(order_effect))
+    solved = solve(comparisons, "logit", _any(comparisons.pairs.ties), bool(order_effect))
     return _scale_table("bradley_terry", comparisons, solved, "logit", observer is not None)
 
 
@@ -260,15 +259,17 @@ def _scale_table(
         row |= {"jod": ability / JOD_LOGIT, "jod_se": row["se"] / JOD_LOGIT}
         rows.append(row)
     if fit:
-        extra |= _fit_attrs(solved, parameter_covariance, link, quantile)
-    unit = f"sandwich errors over {n} observers, t({n - 1})" if by_observer else "each comparison counted as independent"
+        extra |= fit_attrs(solved, parameter_covariance, link, quantile)
+    unit = (
+        f"sandwich errors over {n} observers, t({n - 1})" if by_observer else "each comparison counted as independent"
+    )
     method = f"Bradley-Terry model by maximum likelihood, {m} items, {unit}."
     attrs = {"separation": solved["separation"], "covariance": covariance.tolist(), "unit": "logit", **extra}
     columns = ["item", "ability", "se", "ci_low", "ci_high", "jod", "jod_se"]
     return result_table(rows, columns, method=method, n_subjects=n, dropped=comparisons.dropped, attrs=attrs)
 
 
-def _fit_attrs(solved: dict[str, Any], covariance: np.ndarray, link: str, quantile: float) -> dict[str, Any]:
+def fit_attrs(solved: dict[str, Any], covariance: np.ndarray, link: str, quantile: float) -> dict[str, Any]:
     """Log-likelihood, deviance, and the parameters that belong to no item."""
     fit, part, x = solved["fit"], solved["pairs"], solved["x"]
     free = len(solved["use"]) - 1
@@ -321,102 +322,3 @@ def compare_items(scale: pd.DataFrame, adjust: str = "holm") -> pd.DataFrame:
     columns = ["a", "b", "diff", "se", "z", "p", "p_adjusted", "log10_p"]
     method = f"Wald tests of differences with their covariance, {adjust} over {len(rows)} pairs."
     return result_table(rows, columns, method=method, n_subjects=scale.attrs.get("n_subjects", 0))
-
-
-def thurstone(
-    table: pd.DataFrame,
-    winner: str,
-    loser: str,
-    count: str | None = None,
-    observer: str | None = None,
-    unit: str = "jod",
-    method: str = "ml",
-    seed: int = 0,
-    n_boot: int = 2000,
-) -> pd.DataFrame:
-    """Thurstone's Case V scale, the first item (in order) at 0; in JOD (z / 0.67449) or z.
-
-    ``method``: 'ml' maximum likelihood (Tsukida & Gupta 2011), or 'mean_z' least squares of the normal quantiles of the
-    win shares (Mosteller 1951: the mean of z over a complete matrix). With ``observer`` the standard errors come from a
-    bootstrap over observers (``n_boot`` resamples, ``seed``; resamples without a finite scale are counted in
-    ``attrs['boot_failed']``), widened by sqrt(n / (n - 1)), and intervals use t(n - 1). Without, each comparison counts
-    as independent. Statuses as in ``bradley_terry``. Raises InputError for unknown names.
-    """
-    one_of("thurstone", "unit", unit, ("jod", "z"))
-    one_of("thurstone", "method", method, ("ml", "mean_z"))
-    comparisons = _compare("thurstone", table, winner, loser, None, None, observer, count)
-    solved = _solve(comparisons, "probit", False, False)
-    n, factor = len(comparisons.observers), (1 / JOD_Z if unit == "jod" else 1.0)
-    quantile, attrs = float(special.ndtri(0.975)), {"separation": solved["separation"], "unit": unit}
-    if method == "mean_z":
-        _mean_z(comparisons, solved)
-    if solved["fit"] is not None and method == "ml":
-        attrs |= _fit_attrs(solved, solved["fit"].covariance, "probit", quantile)
-    covariance = solved["covariance"]
-    few = observer is not None and n < 2
-    if observer is not None and not few and all(s == OK for s in solved["status"]):
-        boot = _bootstrap(comparisons, solved, method, seed, n_boot)
-        valid = boot[np.isfinite(boot).all(axis=1)]
-        attrs |= {"boot_failed": len(boot) - len(valid), "n_boot": n_boot, "seed": seed}
-        if len(valid) > 1:
-            covariance = np.atleast_2d(np.cov(valid, rowvar=False)) * n / (n - 1)
-        quantile = float(special.stdtrit(n - 1, 0.975))
-    rows = []
-    for i, item in enumerate(comparisons.items):
-        z, se = float(solved["ability"][i]), math.sqrt(max(float(covariance[i, i]), 0.0))
-        row = {"item": item, "status": solved["status"][i], "note": solved["note"][i]}
-        if math.isinf(z):
-            row |= {"scale": z, "se": math.inf, "ci_low": -math.inf, "ci_high": math.inf}
-        elif math.isnan(z) or (few and i > 0):
-            row |= {"scale": z * factor, "se": math.nan, "ci_low": math.nan, "ci_high": math.nan}
-        else:
-            low, high = z - quantile * se, z + quantile * se
-            row |= {"scale": z * factor, "se": se * factor, "ci_low": low * factor, "ci_high": high * factor}
-        if few and row["status"] == OK:
-            row |= {"status": TOO_FEW_SUBJECTS, "note": f"{n} observer: no inference about others"}
-        rows.append(row)
-    attrs["covariance"] = (covariance * factor**2).tolist()
-    how = "maximum likelihood" if method == "ml" else "least squares of z"
-    errors = f"bootstrap over {n} observers, {n_boot} resamples, seed {seed}" if observer else "comparisons independent"
-    sentence = f"Thurstone Case V scale in {unit.upper() if unit == 'jod' else 'z'} by {how}; {errors}."
-    columns = ["item", "scale", "se", "ci_low", "ci_high"]
-    return result_table(rows, columns, method=sentence, n_subjects=n, dropped=comparisons.dropped, attrs=attrs)
-
-
-def _mean_z(comparisons: Comparisons, solved: dict[str, Any]) -> None:
-    """Replace abilities by least squares of z; nothing finite where a pair is all wins or all losses."""
-    pairs, m = comparisons.pairs, len(comparisons.items)
-    if solved["fit"] is None or len(solved["use"]) < m:
-        return
-    n = pairs.wins + pairs.losses
-    share = pairs.wins / n
-    if ((share <= 0) | (share >= 1)).any():
-        solved["ability"][1:] = np.nan
-        solved["status"] = [SEPARATED] * m
-        solved["note"] = ["a pair was decided the same way every time: its z is infinite (method='ml' may be finite)"] * m
-        return
-    solver = np.linalg.pinv(design(pairs, m, False))
-    z = special.ndtri(share)
-    density = np.exp(-z * z / 2) / math.sqrt(2 * math.pi)
-    solved["ability"] = np.append(0.0, solver @ z)
-    variance = share * (1 - share) / (n * density**2)
-    solved["covariance"] = np.zeros((m, m))
-    solved["covariance"][1:, 1:] = (solver * variance) @ solver.T
-
-
-def _bootstrap(
-    comparisons: Comparisons, solved: dict[str, Any], method: str, seed: int, n_boot: int
-) -> np.ndarray:
-    """Scales (n_boot, items) of resampled observers; nan rows where no finite scale exists."""
-    n, m = len(comparisons.observers), len(comparisons.items)
-    rng = np.random.default_rng(np.random.SeedSequence(seed))
-    weights = rng.multinomial(n, np.full(n, 1 / n), size=n_boot).astype(float)
-    wins, losses = weights @ comparisons.counts[:, 0], weights @ comparisons.counts[:, 1]
-    if method == "ml":
-        found = fit_many(solved["x"], "probit", wins, losses, solved["ability"][1:])
-    else:
-        solver = np.linalg.pinv(design(comparisons.pairs, m, False))
-        with np.errstate(invalid="ignore", divide="ignore"):
-            found = special.ndtri(wins / (wins + losses)) @ solver.T
-        found[~np.isfinite(found).all(axis=1)] = np.nan
-    return np.hstack([np.zeros((n_boot, 1)), found])

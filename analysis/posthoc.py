@@ -16,7 +16,22 @@ from analysis.log_tails import log10_t, p_t
 from analysis.multiplicity import METHODS, adjust_p
 from analysis.results import OK, TOO_FEW_SUBJECTS, UNDEFINED, ZERO_ERROR_VARIANCE, names_of, one_of, result_table
 
-COLUMNS = "a b mean_diff ci_low ci_high t df p p_adjusted log10_p dz dz_low dz_high n".split()
+COLUMNS = [
+    "a",
+    "b",
+    "mean_diff",
+    "ci_low",
+    "ci_high",
+    "t",
+    "df",
+    "p",
+    "p_adjusted",
+    "log10_p",
+    "dz",
+    "dz_low",
+    "dz_high",
+    "n",
+]
 
 
 def paired_t(difference: np.ndarray, rounding: float, level: float = 0.95) -> dict[str, Any]:

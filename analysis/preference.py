@@ -87,8 +87,9 @@ def binomial_choice(
     (missing answers are left out), and the participant is the unit: n participants, ``share`` the mean of their
     shares, k = share n. Where each gave one answer this is the test on counts. With more, p is that of Student's t on
     the participants' shares, and the intervals are Korn & Graubard's (1998) and Wilson's at the effective sample size
-    share (1 - share) / SE^2, with their correction for degrees of freedom (t(n - 1) for z). The counts of trials stand in
-    ``attrs['pooled, not for inference']``. Raises InputError for unknown columns, k > n, or p0 outside [0, 1].
+    share (1 - share) / SE^2, with their correction for degrees of freedom (t(n - 1) for z). The counts of trials
+    stand in ``attrs['pooled, not for inference']``. Raises InputError for unknown columns, k > n, or p0 outside [0,
+    1].
     """
     if not 0 <= p0 <= 1:
         raise InputError(problem("binomial_choice", "p0", p0, "a probability"))
@@ -155,7 +156,9 @@ def _table_choice(table: pd.DataFrame, choice: str, observer: str, p0: float) ->
 def _alike_row(share: float, n: int, p0: float) -> dict[str, Any]:
     """Every participant has the same share: the sign test over participants is all that can be said."""
     if abs(share - p0) < 1e-12:
-        return {"p": 1.0, "log10_p": 0.0} | _intervals(share, n, UNDEFINED, "all participants have exactly the share p0")
+        return {"p": 1.0, "log10_p": 0.0} | _intervals(
+            share, n, UNDEFINED, "all participants have exactly the share p0"
+        )
     k = n if share > p0 else 0
     log10_p = log10_binomial(k, n, p0)
     note = f"all {n} participants have the same share: p is that of the exact sign test over participants"

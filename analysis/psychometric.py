@@ -117,9 +117,9 @@ def psychometric(
     ``k`` of ``n`` answers at level ``x`` (rows of the same level add up). ``link``: logit, probit (threshold where
     F = 0.5), weibull (F = 1 - exp(-(x / threshold)^slope)) and cloglog (the same on x itself): threshold where
     F = 1 - 1/e. Standard errors from the expected information by the delta method, or, with ``observer``, by the
-    jackknife over participants with t(n - 1). ``attrs``: log_likelihood, deviance, df_residual, p_gof. Answers that step
-    from all to none between levels are ``separated``, answers that do not depend on x ``undefined``. Raises InputError
-    for unknown names, counts that are not 0 <= k <= n, and x <= 0 with weibull.
+    jackknife over participants with t(n - 1). ``attrs``: log_likelihood, deviance, df_residual, p_gof. Answers that
+    step from all to none between levels are ``separated``, answers that do not depend on x ``undefined``. Raises
+    InputError for unknown names, counts that are not 0 <= k <= n, and x <= 0 with weibull.
     """
     one_of("psychometric", "link", link, LINKS)
     if not (0 <= guess < 1 and 0 <= lapse < 1 and guess + lapse < 1):
@@ -127,7 +127,7 @@ def psychometric(
     require_columns("psychometric", table, [x, k, n, *([observer] if observer else [])])
     at, correct, total = (numbers("psychometric", table, name) for name in (x, k, n))
     use = np.isfinite(at) & np.isfinite(correct) & np.isfinite(total) & (total > 0)
-    person, people = coded(table, observer) if observer else (np.zeros(len(table), dtype=np.int64), [0])
+    person, _ = coded(table, observer) if observer else (np.zeros(len(table), dtype=np.int64), [0])
     use &= person >= 0
     if ((correct[use] < 0) | (correct[use] > total[use])).any():
         raise InputError(problem("psychometric", f"column {k!r}", "a count", f"between 0 and {n!r}"))
@@ -156,6 +156,10 @@ def psychometric(
     theta, information, converged, levels = fit(np.ones(len(at)))
     if abs(theta[1]) > 200:
         note = "the answers step from the lowest to the highest share between two levels: the slope is not finite"
+        return _no_estimate(SEPARATED, note, method, n_subjects, dropped, math.copysign(math.inf, theta[1]))
+    # Only one level between floor and ceiling: it fixes one parameter, and the slope grows without end.
+    if information[0, 1] ** 2 >= (1 - 1e-8) * information[0, 0] * information[1, 1]:
+        note = "at most one level lies between the lowest and the highest share: the slope is not finite"
         return _no_estimate(SEPARATED, note, method, n_subjects, dropped, math.copysign(math.inf, theta[1]))
     if abs(theta[1]) < 1e-6:
         return _no_estimate(UNDEFINED, "the answers do not depend on the level", method, n_subjects, dropped)

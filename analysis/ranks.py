@@ -82,9 +82,7 @@ def _iman_davenport(w: float, n: int, k: int) -> dict[str, Any]:
     return {"iman_davenport_F": f, "iman_davenport_p": p_f(f, k - 1, (n - 1) * (k - 1))}
 
 
-def friedman_posthoc(
-    table: pd.DataFrame, dv: str, within: str, subject: str, adjust: str = "holm"
-) -> pd.DataFrame:
+def friedman_posthoc(table: pd.DataFrame, dv: str, within: str, subject: str, adjust: str = "holm") -> pd.DataFrame:
     """All pairs after Friedman: Conover's t (1999, section 5.8; ``p_adjusted``) and Nemenyi's p. One row a pair."""
     factors = names_of(within)
     cells = cell_means("friedman_posthoc", table, dv, factors, subject, [])
@@ -124,7 +122,8 @@ def aligned_rank_anova(table: pd.DataFrame, dv: str, within: str | list[str], su
 
     For each effect the responses are stripped of all other effects of the cell means, ranked, and put through the
     repeated-measures ANOVA, of which the row of that effect is kept. Aligned values closer than 1e-9 of the data's
-    range are tied (rounding would otherwise order them). Columns of ``rm_anova``. Raises InputError for unknown columns.
+    range are tied (rounding would otherwise order them). Columns of ``rm_anova``. Raises InputError for unknown
+    columns.
     """
     factors = names_of(within)
     cells = cell_means("aligned_rank_anova", table, dv, factors, subject, [])

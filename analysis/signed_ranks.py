@@ -93,7 +93,13 @@ def wilcoxon(
     else:
         p, log10_p = p_z(z), log10_z(z)
         method = f"Wilcoxon signed-rank test, normal approximation with tie correction, zeros: {zeros}."
-    row |= {"statistic": statistic, "z": z, "p": p, "log10_p": log10_p, "rank_biserial": (2 * statistic - total) / total}
+    row |= {
+        "statistic": statistic,
+        "z": z,
+        "p": p,
+        "log10_p": log10_p,
+        "rank_biserial": (2 * statistic - total) / total,
+    }
     row |= {"status": OK, "note": note}
     return result_table([row], COLUMNS, method=method, n_subjects=len(a), dropped=dropped)
 

@@ -83,7 +83,7 @@ def separation_direction(bounds: Bounds) -> np.ndarray | None:
     found = optimize.linprog(
         -rows.sum(axis=0), A_ub=-rows, b_ub=np.zeros(len(rows)), bounds=[(-1, 1)] * rows.shape[1], method="highs"
     )
-    if found.status != 0 or not -found.fun > 1e-7:
+    if found.status != 0 or found.fun is None or not float(found.fun) < -1e-7:
         return None
     return np.asarray(found.x) / scale
 
