@@ -12,7 +12,7 @@ from typing import Any
 
 from stimuli.errors import InputError, problem
 from studyapp.clock import wall_clock_utc
-from studyapp.display.calibrate import REFRESHES, fit_period, measure, why_not_locked
+from studyapp.display.calibrate import REFRESHES, RESIDUAL_LIMIT, fit_period, measure, why_not_locked
 from studyapp.present.frame_loop import undisturbed
 from studyapp.seams import Display
 
@@ -94,7 +94,7 @@ def certify(
             break
     use_period = getattr(display, "use_period", None)
     if use_period is not None and isfinite(fit.residual_sd_ns):
-        use_period(fit.period_ns)
+        use_period(fit.period_ns, fit.residual_sd_ns > RESIDUAL_LIMIT * fit.period_ns)
     return Certificate(
         locked=not reasons,
         reason="; ".join(reasons) or "locked",

@@ -92,9 +92,9 @@ class GlfwDisplay:
         """The period in use: announced, or measured once `use_period` was called."""
         return self.grid.period_ns
 
-    def use_period(self, period_ns: float) -> None:
-        """Count refreshes on the measured period from here on."""
-        self.grid = VblankGrid(period_ns, DEADLINE_SLACK[self.stamp_class])
+    def use_period(self, period_ns: float, wandering: bool = False) -> None:
+        """Count refreshes on the measured period from here on; ``wandering``: as `VblankGrid` has it."""
+        self.grid = VblankGrid(period_ns, DEADLINE_SLACK[self.stamp_class], wandering)
 
     def context(self) -> moderngl.Context:
         """The window's own context."""
@@ -114,6 +114,12 @@ class GlfwDisplay:
         index, due, missed, flags = self.grid.place(shown)
         self._glfw.poll_events()
         return Flip(index, due, submitted, shown, missed, flags)
+
+    def swap_and_finish(self) -> None:
+        """Swap and wait until it is done, without waiting for a vblank (benches only)."""
+        self._glfw.swap_interval(0)
+        self._swap()
+        self._gl.finish()
 
     def keys(self) -> list[tuple[str, int]]:
         """Presses since the last call; GLFW delivers them when events are polled, once a refresh."""

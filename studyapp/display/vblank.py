@@ -22,16 +22,20 @@ SLIP_SPREAD = 0.1
 SLIP_CONFIRM = 3
 PHASE_GAIN = 0.1
 PERIOD_GAIN = 2e-4
+WANDERING_PHASE_GAIN, WANDERING_PERIOD_GAIN = 0.5, 0.02
+"""For a raster without a steady phase (a compositor's timer): follow the last stamps, claim no phase."""
 
 
 class VblankGrid:
     """The grid of a display's refreshes, slowly refitted to its stamps (phase and period), never to outliers.
 
     ``period_ns`` is the measured period. Refresh ``index`` is due at ``due_ns``. Before the first stamp the grid has
-    no phase: the first stamp is refresh 0.
+    no phase: the first stamp is refresh 0. ``wandering``: the display was found to have no steady phase; the grid then
+    follows the last stamps, after a miss anew, and phase slips (which it has all the time) are not flagged.
     """
 
-    def __init__(self, period_ns: float, slack: float = 1.2) -> None:
+    def __init__(self, period_ns: float, slack: float = 1.2, wandering: bool = False) -> None:
+        self.wandering = wandering
         self.period_ns = float(period_ns)
         self.slack = slack
         self.index = -1
@@ -63,6 +67,10 @@ class VblankGrid:
         due = self.due_ns(steps)
         self._advance(steps * period)
         self.index += steps
+        if self.wandering:
+            self._advance(residual if steps > 1 else WANDERING_PHASE_GAIN * residual)
+            self.period_ns += WANDERING_PERIOD_GAIN * residual if steps == 1 else 0.0
+            return self.index, due, steps - 1, flags
         if not off_grid:
             # An ordinary stamp: follow the crystal slowly.
             self._suspects.clear()

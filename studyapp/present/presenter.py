@@ -117,7 +117,7 @@ class Presenter:
         if self._gl is not None and self._quads is not None and self.patch != "off":
             rect = self._patch_rect()
             lit, dark = (self._still(rect, _flat(rect, code)) for code in (255, 0))
-        self._stage = Stage(self.display, self.sink, self._gl, self.style.background / 255, lit, dark)
+        self.stage = Stage(self.display, self.sink, self._gl, self.style.background / 255, lit, dark)
 
     # -- what a session calls -------------------------------------------------------------------------------------
 
@@ -174,7 +174,7 @@ class Presenter:
                         self._blank(gap, responder, gaze, cross=True, marks=FLIP_OFFSET)
                     last = place == len(shows) - 1
                     phase = replace(base, panels=panels, end_keys=answer_keys if last else frozenset())
-                    done.append(show_phase(self._stage, phase, responder, gaze, miss_policy))
+                    done.append(show_phase(self.stage, phase, responder, gaze, miss_policy))
                     if done[-1].aborted or done[-1].device_lost:
                         break
                 blank = self._blank(1, responder, gaze, cross=False, marks=FLIP_OFFSET)
@@ -249,7 +249,7 @@ class Presenter:
 
     def close(self) -> None:
         """Give the pictures back; the display is its owner's to close."""
-        for sprite in [*self._words.values(), self._cross, self._stage.patch_on, self._stage.patch_off]:
+        for sprite in [*self._words.values(), self._cross, self.stage.patch_on, self.stage.patch_off]:
             if sprite is not None:
                 sprite.release()
         self._words.clear()
@@ -309,14 +309,14 @@ class Presenter:
             on_onset=on_onset,
         )  # fmt: skip
         with self._undisturbed():
-            return show_phase(self._stage, phase, responder, gaze, "skip")
+            return show_phase(self.stage, phase, responder, gaze, "skip")
 
     def _blank(
         self, refreshes: int, responder: Responder | None, gaze: GazeSource | None, cross: bool, marks: int = 0
     ) -> PhaseShown:
         sprites = self._over(cross, "")
         phase = Phase(refreshes, sprites=sprites, marks=marks, patch="off" if self.patch == "off" else "dark")
-        return show_phase(self._stage, phase, responder, gaze, "skip")
+        return show_phase(self.stage, phase, responder, gaze, "skip")
 
     def _patch_mode(self) -> Literal["off", "refresh", "on", "dark"]:
         return {"off": "off", "refresh": "refresh", "onset": "on"}[self.patch]  # type: ignore[return-value]

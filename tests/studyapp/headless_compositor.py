@@ -24,8 +24,10 @@ class CompositorMissing(RuntimeError):
 
 
 @contextmanager
-def headless_compositor(announced_hz: int, size_px: tuple[int, int] = (1280, 720)) -> Iterator[dict[str, str]]:
-    """The environment in which a client finds it. Raises CompositorMissing."""
+def headless_compositor(
+    announced_hz: int, size_px: tuple[int, int] = (1280, 720), realtime: bool = False
+) -> Iterator[dict[str, str]]:
+    """The environment in which a client finds it; ``realtime``: at real-time priority. Raises CompositorMissing."""
     sway = shutil.which("sway")
     if sway is None:
         raise CompositorMissing("sway is not installed")
@@ -54,6 +56,8 @@ def headless_compositor(announced_hz: int, size_px: tuple[int, int] = (1280, 720
         command = [sway, "-c", str(folder / "config")]
         if root:
             command = ["runuser", "-u", "nobody", "--", *command]
+            if realtime and shutil.which("chrt"):
+                command = ["chrt", "-f", "10", *command]
         with (folder / "log").open("wb") as log:
             process = subprocess.Popen(command, env=environment, stdout=log, stderr=log, start_new_session=True)
         try:
