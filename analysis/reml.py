@@ -83,8 +83,8 @@ class Reml:
 
 
 def maximise(reml: Reml, start: np.ndarray) -> tuple[np.ndarray, bool]:
-    """Variances at the maximum: L-BFGS-B on logarithms of the residual and on standard deviation ratios, then
-    Newton.""" k = len(start) - 1
+    """Variances at the maximum, and convergence: L-BFGS-B on ratios of standard deviations, then Newton."""
+    k = len(start) - 1
 
     def unpack(work: np.ndarray) -> np.ndarray:
         return np.concatenate([[1.0], work**2]) * math.exp(work_scale(work))
