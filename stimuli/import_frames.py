@@ -33,8 +33,8 @@ Transfer = Literal["srgb", "linear", "pq"]
 TRANSFERS = ("srgb", "linear", "pq")
 PICTURES = (".png", ".exr")
 VIDEOS = (".mkv", ".mov", ".avi", ".mp4", ".nut", ".y4m")
-LOSSLESS_CODECS = ("ffv1", "huffyuv", "ffvhuff", "utvideo", "png", "rawvideo", "qtrle", "h264rgb", "magicyuv")
-LOSSLESS_FORMATS = re.compile(r"^(gbrp|rgb|bgr|argb|rgba|bgra|gbrap|0rgb|bgr0)")
+LOSSLESS_CODECS = ("ffv1", "huffyuv", "ffvhuff", "utvideo", "png", "rawvideo", "qtrle", "magicyuv")
+LOSSLESS_FORMATS = re.compile(r"gbrp(\d+(le|be))?|rgb24|bgr24|(rgb|bgr)48(le|be)|0rgb|rgb0|bgr0|0bgr")
 IMPORTED = "imported:"
 
 
@@ -118,13 +118,18 @@ def _video_facts(source: Path, ffmpeg: str) -> tuple[int, int]:
         [ffmpeg, "-hide_banner", "-i", str(source)], capture_output=True, text=True, check=False
     ).stderr
     line = next((part for part in said.splitlines() if " Video: " in part), None)
-    found = re.search(r"Video: (\w+).*?, (\w+)[(,].*?, (\d+)x(\d+)", line or "")
+    found = re.search(r"Video: (\w+)[^,]*, (\w+)(?:\([^)]*\))?, (?:.*?, )?(\d+)x(\d+)", line or "")
     if found is None:
         raise InputError(problem(source, "video", "no readable video stream", "lossless RGB video"))
     codec, pixels, width, height = found[1], found[2], int(found[3]), int(found[4])
-    if codec not in LOSSLESS_CODECS or not LOSSLESS_FORMATS.match(pixels):
+    if codec not in LOSSLESS_CODECS or not LOSSLESS_FORMATS.fullmatch(pixels):
         raise InputError(
-            problem(source, "video", f"{codec} {pixels}", f"a lossless codec ({' '.join(LOSSLESS_CODECS)}) in RGB")
+            problem(
+                source,
+                "video",
+                f"{codec} {pixels}",
+                f"a lossless codec ({' '.join(LOSSLESS_CODECS)}) in RGB without alpha",
+            )
         )
     return width, height
 
