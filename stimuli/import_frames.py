@@ -34,7 +34,7 @@ TRANSFERS = ("srgb", "linear", "pq")
 PICTURES = (".png", ".exr")
 VIDEOS = (".mkv", ".mov", ".avi", ".mp4", ".nut", ".y4m")
 LOSSLESS_CODECS = ("ffv1", "huffyuv", "ffvhuff", "utvideo", "png", "rawvideo", "qtrle", "magicyuv")
-LOSSLESS_FORMATS = re.compile(r"gbrp(\d+(le|be))?|rgb24|bgr24|(rgb|bgr)48(le|be)|0rgb|rgb0|bgr0|0bgr")
+FORMATS_8, FORMATS_16 = re.compile(r"gbrp|rgb24|bgr24|0rgb|rgb0|bgr0|0bgr"), re.compile(r"(gbrp16|rgb48|bgr48)(le|be)")
 IMPORTED = "imported:"
 
 
@@ -112,8 +112,8 @@ def find_ffmpeg() -> str | None:
     return str(import_module("imageio_ffmpeg").get_ffmpeg_exe()) if find_spec("imageio_ffmpeg") else None
 
 
-def _video_facts(source: Path, ffmpeg: str) -> tuple[int, int]:
-    """(width, height) of a losslessly coded RGB video. InputError for any other."""
+def _video_facts(source: Path, ffmpeg: str) -> tuple[int, int, int]:
+    """(width, height, bits a channel: 8 or 16) of a losslessly coded RGB video. InputError for any other."""
     said = subprocess.run(
         [ffmpeg, "-hide_banner", "-i", str(source)], capture_output=True, text=True, check=False
     ).stderr
@@ -122,35 +122,38 @@ def _video_facts(source: Path, ffmpeg: str) -> tuple[int, int]:
     if found is None:
         raise InputError(problem(source, "video", "no readable video stream", "lossless RGB video"))
     codec, pixels, width, height = found[1], found[2], int(found[3]), int(found[4])
-    if codec not in LOSSLESS_CODECS or not LOSSLESS_FORMATS.fullmatch(pixels):
+    bits = 8 if FORMATS_8.fullmatch(pixels) else 16 if FORMATS_16.fullmatch(pixels) else 0
+    if codec not in LOSSLESS_CODECS or not bits:
         raise InputError(
             problem(
                 source,
                 "video",
                 f"{codec} {pixels}",
-                f"a lossless codec ({' '.join(LOSSLESS_CODECS)}) in RGB without alpha",
+                f"a lossless codec ({' '.join(LOSSLESS_CODECS)}) in RGB of 8 or 16 bits",
             )
         )
-    return width, height
+    return width, height, bits
 
 
 def _video_frames(source: Path, about: Import) -> tuple[tuple[int, int], Iterator[np.ndarray]]:
-    """((width, height), frames as float32 linear light), decoded at 16 bits a channel."""
+    """((width, height), frames as float32 linear light), decoded without loss."""
     ffmpeg = find_ffmpeg()
     if ffmpeg is None:
         raise InputError(problem(source, "video", "no decoder", "ffmpeg on the path, or the package imageio-ffmpeg"))
-    width, height = _video_facts(source, ffmpeg)
-    command = [ffmpeg, "-v", "error", "-i", str(source), "-f", "rawvideo", "-pix_fmt", "rgb48le", "-"]
+    width, height, bits = _video_facts(source, ffmpeg)
+    # 8 bits are asked for as 8: the decoder's way to 16 is a shift, which is not the same value
+    out = "rgb24" if bits == 8 else "rgb48le"
+    command = [ffmpeg, "-v", "error", "-i", str(source), "-f", "rawvideo", "-pix_fmt", out, "-"]
 
     def frames() -> Iterator[np.ndarray]:
-        size = width * height * 6
+        size = width * height * 3 * bits // 8
         with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
             assert process.stdout is not None
             assert process.stderr is not None
             while data := process.stdout.read(size):
                 if len(data) != size:
                     raise InputError(problem(source, "video", "a frame cut short", "whole frames"))
-                codes = np.frombuffer(data, "<u2").reshape(height, width, 3) / 65535.0
+                codes = np.frombuffer(data, f"<u{bits // 8}").reshape(height, width, 3) / (2.0**bits - 1)
                 yield to_linear(codes, about).astype(np.float32)
             said = process.stderr.read().decode(errors="replace").strip().splitlines()
         if process.returncode:
