@@ -11,7 +11,7 @@ import hashlib
 import re
 import shutil
 import subprocess
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from importlib import import_module
@@ -135,8 +135,8 @@ def _video_facts(source: Path, ffmpeg: str) -> tuple[int, int, int]:
     return width, height, bits
 
 
-def _video_frames(source: Path, about: Import) -> tuple[tuple[int, int], Iterator[np.ndarray]]:
-    """((width, height), frames as float32 linear light), decoded without loss."""
+def _video_frames(source: Path, about: Import) -> tuple[tuple[int, int], Callable[[], Iterator[np.ndarray]]]:
+    """((width, height), a call that yields the frames as float32 linear light, decoded without loss)."""
     ffmpeg = find_ffmpeg()
     if ffmpeg is None:
         raise InputError(problem(source, "video", "no decoder", "ffmpeg on the path, or the package imageio-ffmpeg"))
@@ -159,7 +159,7 @@ def _video_frames(source: Path, about: Import) -> tuple[tuple[int, int], Iterato
         if process.returncode:
             raise InputError(problem(source, "video", said[-1] if said else "unreadable", "a whole video file"))
 
-    return (width, height), frames()
+    return (width, height), frames
 
 
 def _content_sha256(files: Sequence[Path]) -> str:
@@ -183,13 +183,16 @@ def import_frames(source: Path, about: Import, store: ClipStore) -> Clip:
     files: tuple[Path, ...] = (source,)
     if source.suffix.lower() in VIDEOS and source.is_file():
         size, frames = _video_frames(source, about)
-        pictures = list(frames)
+        count = sum(1 for _ in frames())  # decoded twice, so that a long video need not fit into memory
     else:
         files = frame_files(source)
         first = _read_frame(files[0], about)
         size = (first.shape[1], first.shape[0])
-        pictures = None
-    count = len(files) if pictures is None else len(pictures)
+        count = len(files)
+
+        def frames() -> Iterator[np.ndarray]:
+            return (_read_frame(path, about) for path in files)
+
     if count == 0:
         raise InputError(problem(source, "frames", "none", "at least one"))
     request = ClipRequest(
@@ -202,8 +205,7 @@ def import_frames(source: Path, about: Import, store: ClipStore) -> Clip:
         return store.open(request.identity)
     writer = PartWriter(store, request)
     try:
-        for index in range(count):
-            color = _read_frame(files[index], about) if pictures is None else pictures[index]
+        for index, color in enumerate(frames()):
             if color.shape[:2] != (size[1], size[0]):
                 got = f"{color.shape[1]}x{color.shape[0]}"
                 raise InputError(problem(files[index], "frame size", got, f"{size[0]}x{size[1]}, as the first"))
