@@ -88,7 +88,8 @@ def _progress(db: sqlite3.Connection, path: Path, header: dict[str, Any], plan: 
     orphans = _flips_without_trial(db, committed)
     # The presentation in hand was of the first planned trial that is not done, as its block's queue stood.
     queue = [trial.index for trial in plan if trial.index not in done]
-    queue.sort(key=lambda index: (plan[index].block != plan[queue[0]].block, index in requeued))
+    first_block = plan[queue[0]].block if queue else ""
+    queue.sort(key=lambda index: (plan[index].block != first_block, index in requeued))
     lost = tuple(queue[:1]) if orphans and queue else ()
     number = max([*committed, *orphans], default=-1) + 1
     for rows_of in orphans.values():

@@ -80,18 +80,20 @@ def run_session(request: RunRequest) -> RunDone:
         raise InputError(problem(before.path, "observer", "simulated" if request.simulated else "person", wanted))
     about = _about_self(study, request) if before is None else {}
     _writable(request.data)
+    kind = request.display or lab.display.kind
+    sources, clip_rows = _sources(request, study, kind)
+    used = []
+    if isinstance(sources, StoredSources):
+        trials = sources.planned(trials) if before is None else before.plan
+        used = sources.check(trials, request.overrides)
     with contextlib.ExitStack() as stack:
-        display = _display(request, study, lab, before)
+        display = _display(request, study, lab, kind, before)
         stack.callback(display.close)
         certificate = certify(
             display, 480, declared=lab.display.declared, encoding=lab.encoding_name(),
             photometry=lab.photometry_record(),
         )  # fmt: skip
-        used = _permitted(request, study, certificate)
-        sources, clip_rows = _sources(request, study, display)
-        if isinstance(sources, StoredSources):
-            trials = sources.planned(trials) if before is None else before.plan
-            used += sources.check(trials, request.overrides)
+        used += _permitted(request, study, certificate)
         geometry = _screen(study, lab)
         devices = stack.enter_context(
             emulated_devices(display, geometry, study.seed)
@@ -185,8 +187,7 @@ def _writable(folder: Path) -> None:
         raise InputError(problem(folder, "data folder", error.strerror, "a folder that can be written")) from error
 
 
-def _display(request: RunRequest, study: Study, lab: Lab, before: Interrupted | None) -> Display:
-    kind = request.display or lab.display.kind
+def _display(request: RunRequest, study: Study, lab: Lab, kind: str, before: Interrupted | None) -> Display:
     rate = Fraction(study.display.refresh_hz)
     if kind == "virtual" and before is not None:
         # The virtual clock goes on after the newest stamp in the file.
@@ -203,11 +204,9 @@ def _permitted(request: RunRequest, study: Study, certificate: Certificate) -> l
     return require_lock(certificate, Fraction(study.display.refresh_hz), overrides, request.simulated)
 
 
-def _sources(
-    request: RunRequest, study: Study, display: Display
-) -> tuple[Sources, Callable[[], list[tuple[str, str, str]]]]:
+def _sources(request: RunRequest, study: Study, kind: str) -> tuple[Sources, Callable[[], list[tuple[str, str, str]]]]:
     """Where frames come from, and what the session's ``clips`` will say of them."""
-    if isinstance(display, VirtualDisplay):
+    if kind == "virtual":
         manifests = Manifests(study)
         return manifests, manifests.rows
     stored = StoredSources(study, request.protocol, request.store)

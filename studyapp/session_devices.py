@@ -42,7 +42,9 @@ class SessionDevices:
         """Wait for lost devices; what is still missing ([]: go on)."""
         if self.reader is None:
             return []
-        missing = self.reader.wait_until_there(self.reconnect_s)
+        # A reader that died is started again, and takes a while; a device may never come back.
+        limit_s = self.reconnect_s if self.reader.alive() else START_LIMIT_S
+        missing = self.reader.wait_until_there(limit_s)
         if not missing and not self.answers.alive():
             # The lines stand and the box does not answer: nothing that waiting would mend.
             return [f"{self.answers.name}: no press came through the line"]

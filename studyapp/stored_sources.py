@@ -11,7 +11,13 @@ from protocols.trial import Trial
 from stimuli.clip import ClipStore
 from stimuli.errors import InputError, problem
 from studyapp.clips import (
-    StudyClips, clip_record, luminance_problems, resolve_clips, sources_for, store_directory, store_problems,
+    StudyClips,
+    clip_record,
+    luminance_problems,
+    resolve_clips,
+    sources_for,
+    store_directory,
+    store_problems,
     with_clips,
 )  # fmt: skip
 from studyapp.seams import FrameSource

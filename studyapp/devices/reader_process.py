@@ -264,6 +264,10 @@ class DeviceReader:
                 self.board.mark(index, OPENING)
             self._start()
 
+    def alive(self) -> bool:
+        """Is the process there?"""
+        return self._process.is_alive()
+
     def running(self) -> bool:
         """Is the process there, and has it looked at its devices within `HEARTBEAT_LIMIT_S`?"""
         return self._process.is_alive() and self.board.age_s() < HEARTBEAT_LIMIT_S
