@@ -94,7 +94,9 @@ def measured_table(codes: Sequence[int], luminance_cd_m2: Sequence[float]) -> np
         raise InputError(
             problem("photometry", "greys", f"a fall of {falls:.3g} cd/m2", "luminance that rises with code")
         )
-    return np.asarray(PchipInterpolator(code, np.maximum.accumulate(measured))(np.arange(256)))
+    rising = np.asarray(PchipInterpolator(code, np.maximum.accumulate(measured))(np.arange(256)))
+    # Equal neighbours (a black floor) are set apart by less than any meter reads: the encoder inverts the table.
+    return rising + 1e-9 * measured.max() * np.arange(256)
 
 
 def record_of(shown: Sequence[Patch], luminance_cd_m2: Sequence[float], meter: str, date: str) -> dict[str, Any]:
@@ -227,5 +229,6 @@ def draw_patch(gl: moderngl.Context, size_px: tuple[int, int], patch: Patch) -> 
     top = min(max(0, round(patch.at[1] * height - side / 2)), height - side)
     gl.clear(0.0, 0.0, 0.0, 1.0)
     gl.scissor = (left, height - top - side, side, side)
-    gl.clear(*(code / 255 for code in patch.rgb), 1.0)
+    red, green, blue = (code / 255 for code in patch.rgb)
+    gl.clear(red, green, blue, 1.0)
     gl.scissor = None
