@@ -195,13 +195,13 @@ def _loop(
                 if texture is not None and not texture.live:
                     texture.fetch(table[following])
         uploaded = now_ns()
-        age = -1
-        if gaze is not None:
-            newest = gaze.newest()
-            if newest is not None:
-                age = max(0, uploaded - newest[2])
-                shown.oldest_gaze_ns = max(shown.oldest_gaze_ns, age)
+        newest = gaze.newest() if gaze is not None else None
         done = flip()
+        age = -1
+        if newest is not None:
+            # How old the gaze was when the swap was requested.
+            age = max(0, done.submitted_ns - newest[2])
+            shown.oldest_gaze_ns = max(shown.oldest_gaze_ns, age)
         flags = done.flags | marks | (FLIP_LIGHT_PATCH if lit else 0)
         row[0] = (
             done.index, done.due_ns, done.submitted_ns, done.shown_ns, done.missed, flags, tuple(sources),
