@@ -12,6 +12,7 @@ import numpy as np
 from renderers.backend import dr, mi
 from renderers.frozen import opaque_float
 from renderers.space import BodySpace, TracerSpace
+from stimuli.gltf_animation import mover_poses
 from stimuli.scene import Mover
 
 KNOT_STEP_S = Fraction(8, 1000)
@@ -50,8 +51,9 @@ def pose_matrices(
     """(M + 1, K, 3, 4) float64 own-to-tracer matrices at ``times_s``; a body of no size is moved out of sight."""
     out = np.zeros((len(movers) + 1, len(times_s), 3, 4))
     out[:, :, :, :3] = np.eye(3)
-    for m, (mover, own) in enumerate(zip(movers, spaces, strict=True)):
-        poses = own.pose(mover.track.pose(times_s), space)
+    world = mover_poses([mover.track for mover in movers], times_s)
+    for m, own in enumerate(spaces):
+        poses = own.pose(world[m], space)
         flat = np.abs(np.linalg.det(poses[..., :3])) < _LEAST_VOLUME
         out[m + 1] = np.where(flat[:, None, None], np.c_[np.eye(3), np.full(3, _FAR_AWAY)], poses)
     return out

@@ -2,7 +2,9 @@
 
 Bodies keep their own Mitsuba scenes, never rebuilt; only the boxes are rebuilt for each interval. A box is asked when
 the ray enters it, or when it leaves it having started inside; the walk ends when the next box is behind the best hit.
-Boxes are inflated by slightly different amounts, so that no two faces coincide.
+Boxes are inflated by slightly different amounts, so that no two faces coincide. Where two faces still lie within one step
+of each other on a ray, the second is passed over unseen: so the walk remembers, in 64 bits, which bodies it has asked, and
+asks on leaving a box whose entry it never saw (without that, 10 of 518,400 pixels of bart_robots were wrong).
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ ASK_ALL = 4
 _INFLATION = 1e-5
 _INFLATION_STEP = 5e-6
 _INFLATION_CYCLE = 64
-STEP = 2e-6
+STEP = 2e-7
 """How far past a box face the walk goes on, relative to 1 + the distance walked."""
 
 # Two triangles a face; faces in the order -x +x -y +y -z +z; corner k has bit `axis` set where it is high.

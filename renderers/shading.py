@@ -20,7 +20,7 @@ from renderers.rng import combined, uniform
 from renderers.surface import Surface
 from renderers.tracer import SceneArrays, Tracer
 
-OFFSET = 3e-5
+OFFSET = 5e-6
 """Secondary rays start this far off the face, relative to max(1, |p|), in tracer units."""
 _LEAST_ALPHA = 0.01  # GGX width of the smoothest highlight: mirrors take over there
 

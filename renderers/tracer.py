@@ -181,7 +181,7 @@ class Tracer:
         if not self.bodies:
             return best
         if self.uses_proxy:
-            return self._nearest_by_proxy(arrays, poses, o, d, time_s, active, limit, best)
+            return self._nearest_by_proxy(arrays, poses, o, d, time_s, active, limit, best, coherent)
         for b, body in enumerate(self.bodies):
             t, face, u, v = self._ask(arrays, poses, b, body.mover, o, d, time_s, limit, active, coherent)
             hit = active & (t < limit)
@@ -237,39 +237,35 @@ class Tracer:
         return active & arrays.bodies[b].ray_test(mi.Ray3f(own_o, own_d, tmax, 0.0, []), coherent=False, active=active)
 
     def _next_box(
-        self, arrays: SceneArrays, o: Any, d: Any, walked: Any, limit: Any, active: Any
-    ) -> tuple[Any, Any, Any, Any]:
-        """The next box face beyond ``walked``: whether there is one, its distance, its body, whether to ask it."""
+        self, arrays: SceneArrays, o: Any, d: Any, walked: Any, limit: Any, asked: Any, active: Any, coherent: bool
+    ) -> tuple[Any, Any, Any, Any, Any]:
+        """The next box face beyond ``walked``: is there one, its distance, its body, must it be asked; bits of the asked."""
         ray = mi.Ray3f(dr.fma(d, walked, o), d, limit - walked, 0.0, [])
-        found = arrays.proxy.ray_intersect_preliminary(ray, coherent=False, active=active)
+        found = arrays.proxy.ray_intersect_preliminary(ray, coherent=coherent, active=active)
         ok = active & found.is_valid()
         body = dr.select(ok, found.prim_index // 12, 0)
-        ask = ok & must_ask(arrays.boxes, body, found.prim_index - body * 12, o, d, ok)
-        return ok, walked + found.t, body, ask
+        bit = mi.UInt64(1) << mi.UInt64(body & 63)
+        ask = ok & (must_ask(arrays.boxes, body, found.prim_index - body * 12, o, d, ok) | ((asked & bit) == 0))
+        return ok, walked + found.t, body, ask, dr.select(ask, asked | bit, asked)
 
     def _nearest_by_proxy(
-        self, arrays: SceneArrays, poses: Poses, o: Any, d: Any, time_s: Any, active: Any, limit: Any, best: RawHit
+        self, arrays: SceneArrays, poses: Poses, o: Any, d: Any, time_s: Any, active: Any, limit: Any, best: RawHit, coherent: bool
     ) -> RawHit:
         def asker(b: int) -> Any:
             scene = arrays.bodies[b]
 
             def ask(own_o: Any, own_d: Any, tmax: Any, active: Any) -> tuple[Any, ...]:
-                found = scene.ray_intersect_preliminary(
-                    mi.Ray3f(own_o, own_d, tmax, 0.0, []), coherent=False, active=active
-                )
-                return (
-                    dr.select(active & found.is_valid(), found.t, dr.inf),
-                    found.prim_index,
-                    found.prim_uv.x,
-                    found.prim_uv.y,
-                )
+                ray = mi.Ray3f(own_o, own_d, tmax, 0.0, [])
+                found = scene.ray_intersect_preliminary(ray, coherent=coherent, active=active)
+                t = dr.select(active & found.is_valid(), found.t, dr.inf)
+                return t, found.prim_index, found.prim_uv.x, found.prim_uv.y
 
             return ask
 
         askers = [asker(b) for b in range(len(self.bodies))]
 
-        def step(walked: Any, limit: Any, best: RawHit, on: Any) -> tuple[Any, Any, RawHit, Any]:
-            ok, at, body, ask = self._next_box(arrays, o, d, walked, limit, on)
+        def step(walked: Any, limit: Any, best: RawHit, asked: Any, on: Any) -> tuple[Any, ...]:
+            ok, at, body, ask, asked = self._next_box(arrays, o, d, walked, limit, asked, on, coherent)
             mover = dr.gather(mi.UInt32, arrays.body_mover, body, ask)
             own_o, own_d, ask = self._to_own(poses, mover, o, d, time_s, ask)
             t, face, u, v = dr.switch(body, askers, own_o, own_d, limit, active=ask)
@@ -278,19 +274,18 @@ class Tracer:
             best = dr.select(hit, RawHit(t, face + base, u, v, mover), best)
             limit = dr.select(hit, t, limit)
             walked = at + STEP * (1 + at)
-            return walked, limit, best, ok & (walked < limit)
+            return walked, limit, best, asked, ok & (walked < limit)
 
-        return dr.while_loop(
-            (mi.Float(0), limit, best, active), lambda walked, limit, best, on: on, step, label="movers"
-        )[2]
+        start = (mi.Float(0), limit, best, mi.UInt64(0), active)
+        return dr.while_loop(start, lambda walked, limit, best, asked, on: on, step, label="movers")[2]
 
     def _occluded_by_proxy(
         self, arrays: SceneArrays, poses: Poses, o: Any, d: Any, time_s: Any, active: Any, tmax: Any, blocked: Any
     ) -> Any:
         def asker(b: int) -> Any:
-            scene = arrays.bodies[b]
             if self.bodies[b].hidden:
                 return lambda own_o, own_d, tmax, active: mi.Bool(False)
+            scene = arrays.bodies[b]
             return lambda own_o, own_d, tmax, active: (
                 active & scene.ray_test(mi.Ray3f(own_o, own_d, tmax, 0.0, []), coherent=False, active=active)
             )
@@ -298,18 +293,17 @@ class Tracer:
         askers = [asker(b) for b in range(len(self.bodies))]
         limit = mi.Float(tmax)
 
-        def step(walked: Any, blocked: Any, on: Any) -> tuple[Any, Any, Any]:
-            ok, at, body, ask = self._next_box(arrays, o, d, walked, limit, on)
+        def step(walked: Any, blocked: Any, asked: Any, on: Any) -> tuple[Any, ...]:
+            ok, at, body, ask, asked = self._next_box(arrays, o, d, walked, limit, asked, on, False)
             mover = dr.gather(mi.UInt32, arrays.body_mover, body, ask)
             own_o, own_d, ask = self._to_own(poses, mover, o, d, time_s, ask)
             hit = dr.switch(body, askers, own_o, own_d, limit, active=ask)
             blocked = blocked | (ask & hit)
             walked = at + STEP * (1 + at)
-            return walked, blocked, ok & ~blocked & (walked < limit)
+            return walked, blocked, asked, ok & ~blocked & (walked < limit)
 
-        return dr.while_loop(
-            (mi.Float(0), blocked, active), lambda walked, blocked, on: on, step, label="shadow movers"
-        )[1]
+        start = (mi.Float(0), blocked, mi.UInt64(0), active)
+        return dr.while_loop(start, lambda walked, blocked, asked, on: on, step, label="shadow movers")[1]
 
     # The plain call -------------------------------------------------------------------------------------------------
 
