@@ -16,7 +16,7 @@ from renderers.catalogue import CATALOGUE
 
 Loc = tuple[str | int, ...]
 Problem = tuple[Loc, str, str, str]
-FIXED_PATHS = frozenset({"file", "still", "sway"})
+FIXED_PATHS = frozenset({"file", "still", "sway", "toycar", "interactive"})
 OWN_COLUMNS = frozenset({"scene", "condition", "technique", "path", "fixation", "side", "pair", "repetition", "block"})
 
 
