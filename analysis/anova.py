@@ -69,7 +69,7 @@ def effects_of(factors: Sequence[str]) -> list[tuple[str, ...]]:
 
 def contrasts(size: int) -> np.ndarray:
     """Orthonormal contrasts of ``size`` levels, (size, size - 1): Helmert's."""
-    return linalg.helmert(size).T if size > 1 else np.zeros((1, 0))
+    return linalg.helmert(size).T if size > 1 else np.zeros((size, 0))
 
 
 def oneway_anova(table: pd.DataFrame, dv: str, between: str, eta2_level: float = 0.90) -> pd.DataFrame:

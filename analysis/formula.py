@@ -146,7 +146,11 @@ def model_frame(where: str, table: pd.DataFrame, formula: str, random: str | Seq
             empty.append(name)
     if empty or not len(part):
         # A factor with one level has no contrast: the model goes on without it.
-        terms = [t for t in parsed if not any(str(v) in empty for v in t.required_variables)] if len(part) else []
+        terms = (
+            [t for t in parsed if not set(map(str, formulaic.Formula(str(t)).required_variables)) & set(empty)]
+            if len(part)
+            else []
+        )
         names = [str(t) for t in terms if str(t) != "1"]
         right = " + ".join((["1"] if any(str(t) == "1" for t in parsed) else ["0"]) + names)
         parsed = formulaic.Formula(right)

@@ -9,7 +9,7 @@ through QR after centring and scaling, so that the coefficients keep the digits 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -132,6 +132,9 @@ def linear_mixed(
     if full:
         note = f"{full[0].name!r} has a group for every row: it cannot be told from the error"
         return made([_nothing(t, UNDEFINED, note) for t in design.labels])
+    exact = _without_error(frame, design, y, rounding)
+    if exact is not None:
+        return made(exact(scale))
     return made(_mixed_rows(frame, design, y, residual, scale, offset, rounding, level, attrs))
 
 
@@ -179,6 +182,55 @@ def _mixed_rows(
         gone = ", ".join(name for name, kept in zip(names, free, strict=True) if not kept)
         status, note = BOUNDARY, f"the variance of {gone} is estimated as 0: the model is that without it"
     return _rows(design, gamma, covariance, df, scale, offset, level, status, note)
+
+
+def _without_error(
+    frame: ModelFrame, design: Design, y: np.ndarray, rounding: float
+) -> Callable[[float], list[dict[str, Any]]] | None:
+    """Rows of the table where fixed and random effects together leave no error, else None.
+
+    Terms that vary within the groups are then known exactly; of the others nothing can be said.
+    """
+    sizes = [len(np.unique(term.codes)) for term in frame.random]
+    n, groups = len(y), sum(sizes)
+    if groups > 2000:
+        return None
+    z = np.zeros((n, groups)) if n * groups <= 20_000_000 else None
+    if z is None:
+        return None
+    for term, start in zip(frame.random, np.cumsum([0, *sizes[:-1]]), strict=True):
+        z[np.arange(n), start + term.codes] = term.design
+    kept = independent_columns(z) if len(sizes) > 1 else np.arange(groups)
+    basis, _ = np.linalg.qr(z[:, kept])
+
+    def sweep(columns: np.ndarray) -> np.ndarray:
+        once = columns - basis @ (basis.T @ columns)
+        return np.asarray(once - basis @ (basis.T @ once))
+
+    x, rest = sweep(frame.x), sweep(y[:, None])[:, 0]
+    inside = np.linalg.norm(x, axis=0) > 1e-9 * np.maximum(np.linalg.norm(frame.x, axis=0), 1e-300)
+    used = [j for j in independent_columns(x) if inside[j]]
+    coefficients = np.linalg.lstsq(x[:, used], rest, rcond=None)[0] if used else np.zeros(0)
+    left = rest - x[:, used] @ coefficients
+    if float(left @ left) > (4 * rounding) ** 2 * n:
+        return None
+    saturated = len(kept) + len(used) >= n
+    known = {frame.terms[j]: float(c) for j, c in zip(used, coefficients, strict=True)}
+
+    def rows(scale: float) -> list[dict[str, Any]]:
+        if saturated:
+            note = "the random effects have as many groups as there are rows: they cannot be told from the error"
+            return [_nothing(t, UNDEFINED, note) for t in design.labels]
+        note = "the groups' own values leave no error: nothing can be said about terms that do not vary within them"
+        made = []
+        for label in design.labels:
+            if label in known:
+                made.append(_exact_row(label, known[label] * scale, 64 * rounding * scale))
+            else:
+                made.append(_nothing(label, ZERO_ERROR_VARIANCE, note))
+        return made
+
+    return rows
 
 
 def _satterthwaite(

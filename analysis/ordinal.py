@@ -29,6 +29,7 @@ from analysis.results import (
 from analysis.threshold_model import LINKS, Bounds, ThresholdFit, fit_fixed, fit_mixed, separation_direction
 from stimuli.errors import InputError, problem
 
+MAX_CATEGORIES = 100
 COLUMNS = ["term", "estimate", "se", "z", "p", "log10_p", "ci_low", "ci_high"]
 
 
@@ -58,6 +59,9 @@ def cumulative_link(
     used = independent_columns(np.column_stack([np.ones(len(x)), x]))
     used = used[used > 0] - 1
     j, n, q = len(names), len(codes), len(used)
+    what = f"Cumulative {link} model, {formula}"
+    if j > MAX_CATEGORIES:
+        return _nothing(frame, terms, UNDEFINED, f"{j + 1} different answers are no rating scale", what)
     upper, lower = np.zeros((n, j + q)), np.zeros((n, j + q))
     rows = np.arange(n)
     top, bottom = codes == j, codes == 0
@@ -67,7 +71,6 @@ def cumulative_link(
     lower[~bottom, j:] = -x[~bottom][:, used]
     share = np.cumsum(np.bincount(codes, minlength=j + 1))[:-1] / max(n, 1)
     start = np.concatenate([_quantile(share, link), np.zeros(q)])
-    what = f"Cumulative {link} model, {formula}"
     if j == 0:
         note = "all answers are in one category" if n else "no valid answer"
         return _nothing(frame, [*names, *terms], UNDEFINED, note, what)

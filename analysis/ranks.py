@@ -14,7 +14,7 @@ from analysis.anova import anova_of_cells, effect_rows_columns, effects_of
 from analysis.cells import Cells, cell_means
 from analysis.log_tails import log10_chi2, p_chi2, p_f, p_t
 from analysis.multiplicity import adjust_p
-from analysis.results import OK, TOO_FEW_SUBJECTS, UNDEFINED, ZERO_ERROR_VARIANCE, names_of, result_table
+from analysis.results import OK, ROUNDING, TOO_FEW_SUBJECTS, UNDEFINED, ZERO_ERROR_VARIANCE, names_of, result_table
 
 _FRIEDMAN = ["chi2", "df", "p", "log10_p", "kendall_w", "iman_davenport_F", "iman_davenport_p", "n", "k"]
 
@@ -139,7 +139,14 @@ def aligned_rank_anova(table: pd.DataFrame, dv: str, within: str | list[str], su
         spread = float(np.max(np.abs(y - y.mean()))) if n else 0.0
         ranks = near_ranks(flat, max(1e-9 * spread, cells.rounding)) if flat.size else flat
         made = anova_of_cells(
-            ranks.reshape(n, -1), cells.levels, factors, np.zeros((n, 0), dtype=np.int64), [], [], 0.0, effects=[effect]
+            ranks.reshape(cells.values.shape),
+            cells.levels,
+            factors,
+            np.zeros((n, 0), dtype=np.int64),
+            [],
+            [],
+            ROUNDING * flat.size,
+            effects=[effect],
         )
         rows += made
     method = "Aligned rank transform, each effect against its own error stratum; repetitions averaged per cell."

@@ -11,17 +11,30 @@ from scipy import linalg, optimize
 from analysis.formula import RandomTerm
 
 
+def _cross(a: RandomTerm, b: RandomTerm, m: int, k: int) -> np.ndarray:
+    """Z_a' Z_b."""
+    return np.bincount(a.codes * k + b.codes, weights=a.design * b.design, minlength=m * k).reshape(m, k)
+
+
+def _by_group(term: RandomTerm, values: np.ndarray, size: int) -> np.ndarray:
+    """Z' values."""
+    return np.bincount(term.codes, weights=term.design * values, minlength=size)
+
+
 class Reml:
     """Restricted likelihood of variances (residual first) for a response and an orthonormal design."""
 
     def __init__(self, y: np.ndarray, q: np.ndarray, random: list[RandomTerm]) -> None:
         self.n, self.p = q.shape
         sizes = [len(np.unique(term.codes)) for term in random]
-        z = np.zeros((self.n, sum(sizes)))
-        for term, start in zip(random, np.cumsum([0, *sizes[:-1]]), strict=True):
-            z[np.arange(self.n), start + term.codes] = term.design
         self.owner = np.repeat(np.arange(len(random)), sizes)
-        self.zz, self.zq, self.zy = z.T @ z, z.T @ q, z.T @ y
+        # Cross-products of the incidence matrices by counting: Z itself (rows by groups) is never formed.
+        self.zz = np.block([[_cross(a, b, m, k) for b, k in zip(random, sizes, strict=True)]
+                            for a, m in zip(random, sizes, strict=True)])  # fmt: skip
+        self.zq = np.vstack(
+            [np.stack([_by_group(t, c, m) for c in q.T], 1) for t, m in zip(random, sizes, strict=True)]
+        )
+        self.zy = np.concatenate([_by_group(t, y, m) for t, m in zip(random, sizes, strict=True)])
         self.qy, self.yy = q.T @ y, float(y @ y)
 
     def state(self, variances: np.ndarray) -> dict[str, Any]:
@@ -67,7 +80,7 @@ class Reml:
         hessian[0, 0] = ((y_pp_y - 0.5 * tr_p) - float(s @ hessian[0, 1:])) / s0
         return {
             "value": value, "gradient": gradient, "information": hessian, "beta": beta, "covariance": inverse,
-            "z_v_x": z_v_x, "x_v_x": x_v_x, "block": block, "y_p_y": y_p_y,
+            "z_v_x": z_v_x, "x_v_x": x_v_x, "block": block, "y_p_y": y_p_y, "square": square, "trace": trace,
         }  # fmt: skip
 
     def covariance_slopes(self, state: dict[str, Any], variances: np.ndarray) -> list[np.ndarray]:
@@ -86,21 +99,16 @@ def maximise(reml: Reml, start: np.ndarray) -> tuple[np.ndarray, bool]:
     """Variances at the maximum, and convergence: L-BFGS-B on ratios of standard deviations, then Newton."""
     k = len(start) - 1
 
-    def unpack(work: np.ndarray) -> np.ndarray:
-        return np.concatenate([[1.0], work**2]) * math.exp(work_scale(work))
-
-    def work_scale(work: np.ndarray) -> float:
-        # The residual variance that is best for given ratios has a closed form.
-        state = reml.state(np.concatenate([[1.0], work**2]))
-        return math.log(max(state["y_p_y"], 1e-300) / (reml.n - reml.p))
-
     def objective(work: np.ndarray) -> tuple[float, np.ndarray]:
-        variances = unpack(work)
-        state = reml.state(variances)
-        return -state["value"], -(state["gradient"][1:] * 2 * work * variances[0])
+        # The residual variance c that is best for given ratios has a closed form; V(c) = c V(1).
+        state = reml.state(np.concatenate([[1.0], work**2]))
+        y_p_y, df = max(state["y_p_y"], 1e-300), reml.n - reml.p
+        c = y_p_y / df
+        value = state["value"] + 0.5 * y_p_y - 0.5 * df * (math.log(c) + 1)
+        return -value, -0.5 * (state["square"] / c - state["trace"]) * 2 * work
 
     best: tuple[float, np.ndarray] | None = None
-    for ratio in (1.0, 0.1):
+    for ratio in (1.0, 0.1) if len(reml.owner) < 150 else (0.7,):
         found = optimize.minimize(
             objective, np.full(k, ratio), jac=True, method="L-BFGS-B", bounds=[(0.0, 1e4)] * k,
             options={"ftol": 1e-14, "gtol": 1e-8, "maxiter": 500},
@@ -108,7 +116,8 @@ def maximise(reml: Reml, start: np.ndarray) -> tuple[np.ndarray, bool]:
         if best is None or found.fun < best[0]:
             best = (float(found.fun), found.x)
     assert best is not None
-    variances = unpack(best[1])
+    ratios = np.concatenate([[1.0], best[1] ** 2])
+    variances = ratios * max(reml.state(ratios)["y_p_y"], 1e-300) / (reml.n - reml.p)
     variances[1:][variances[1:] < 1e-8 * variances[0]] = 0.0
     free = variances > 0
     converged = False

@@ -7,6 +7,7 @@ others); ``not_converged``; ``boundary`` (an estimate on the edge of its range);
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -53,6 +54,10 @@ def result_table(
     the columns.
     """
     found = []
+    # Nothing to compare or describe is said in a row of its own.
+    rows = list(rows) or [
+        {**dict.fromkeys(columns, math.nan), "status": UNDEFINED, "note": "there is nothing to compare"}
+    ]
     for row in rows:
         made = {"status": OK, "note": "", **row}
         if made["status"] == OK:

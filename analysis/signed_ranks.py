@@ -11,7 +11,7 @@ import pandas as pd
 from analysis.cells import shift_and_scale
 from analysis.log_tails import log10_z, p_z
 from analysis.ranks import near_ranks
-from analysis.results import OK, ROUNDING, UNDEFINED, one_of, result_table
+from analysis.results import OK, ROUNDING, TOO_FEW_SUBJECTS, UNDEFINED, one_of, result_table
 from stimuli.errors import InputError, problem
 
 COLUMNS = ["statistic", "z", "p", "log10_p", "n_used", "zeros", "rank_biserial"]
@@ -101,6 +101,8 @@ def wilcoxon(
         "rank_biserial": (2 * statistic - total) / total,
     }
     row |= {"status": OK, "note": note}
+    if len(a) < 2:
+        row |= {"status": TOO_FEW_SUBJECTS, "note": "one pair: p can only be 1"}
     return result_table([row], COLUMNS, method=method, n_subjects=len(a), dropped=dropped)
 
 

@@ -191,6 +191,9 @@ def fit_mixed(
         return phi
 
     def objective(work: np.ndarray) -> tuple[float, np.ndarray]:
+        if not float(np.max(np.abs(work))) < 300.0:
+            # A search that runs away has no maximum: it ends on this plateau, not converged.
+            return 1e10, np.zeros_like(work)
         value, gradient = quadrature.evaluate(natural(work), work[-1])
         turned = gradient.copy()
         if thresholds > 1:
@@ -203,6 +206,9 @@ def fit_mixed(
         start[1:thresholds] = np.log(np.diff(fixed.phi[:thresholds]))
     found = optimize.minimize(objective, start, jac=True, method="BFGS", options={"gtol": 1e-6, "maxiter": 500})
     theta = np.append(natural(found.x), abs(found.x[-1]))
+    if found.fun >= 1e10 or theta[-1] > 100.0:
+        nothing = np.full(len(fixed.phi), math.nan)
+        return ThresholdFit(nothing, np.diag(nothing), math.nan, math.inf, math.nan, False)
     value, gradient = quadrature.evaluate(theta[:-1], theta[-1])
     if theta[-1] < 1e-3 or value <= fixed.log_likelihood + 1e-9:
         return ThresholdFit(fixed.phi, fixed.covariance, fixed.log_likelihood, 0.0, math.nan, fixed.converged)
