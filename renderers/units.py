@@ -17,8 +17,8 @@ from stimuli.errors import InputError, problem
 
 SAMPLE_BLOCK = 64
 """Samples a pixel of one block; part of what a stored frame is (raise ENGINE_VERSION with it)."""
-UNIT_SAMPLES = 50_000_000
-"""Primary rays of one unit, about: some seconds on one core."""
+UNIT_SAMPLES = 5_000_000
+"""Primary rays of one unit, about: seconds to a minute on one core."""
 _NAME = re.compile(r"frames-(\d{6})-(\d{6})(?:\.blocks-(\d{4})-(\d{4}))?")
 
 

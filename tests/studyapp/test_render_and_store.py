@@ -1,0 +1,230 @@
+"""`studyapp render` and `studyapp store` on a tiny protocol: from the file to frames that can be played."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from protocols.design import plan
+from protocols.load import load_study
+from stimuli.clip import ClipStore
+from stimuli.errors import InputError
+from studyapp.cli import main
+from studyapp.clips import (
+    luminance_problems,
+    memory_problems,
+    resolve_clips,
+    sources_for,
+    store_directory,
+    store_problems,
+    with_clips,
+)
+from tests.stimuli.test_clip import DAMAGE, files_of
+
+PROTOCOL = """
+study: tiny
+seed: 3
+display: {refresh_hz: 240, size_px: [640, 480]}
+defaults: {size_px: [16, 12], duration_s: 1/40, warm_up_s: 1/60}
+scenes:
+  tunnel: {scene: tunnel_geom, start_s: 1}
+conditions:
+  gold: {technique: reference, params: {spp: 4}}
+  plain: {technique: vanilla}
+  slow: {technique: vanilla, rate_hz: 120}
+questions:
+  closer: {kind: choice, text: Which one?}
+blocks:
+  - name: compare
+    kind: side_by_side
+    reference: gold
+    compare: {of: [plain, slow]}
+    factors: {scene: [tunnel]}
+    questions: [closer]
+"""
+
+
+@pytest.fixture(scope="module")
+def rendered(tmp_path_factory):
+    """A protocol and the store that `studyapp render` filled for it."""
+    folder = tmp_path_factory.mktemp("tiny")
+    (folder / "tiny.yaml").write_text(PROTOCOL)
+    assert main(["render", str(folder / "tiny.yaml")]) == 0
+    return folder / "tiny.yaml"
+
+
+@pytest.fixture
+def copied(rendered, tmp_path):
+    """The same, to be damaged."""
+    shutil.copytree(rendered.parent, tmp_path / "copy")
+    return tmp_path / "copy" / "tiny.yaml"
+
+
+def store_of(protocol) -> ClipStore:
+    return ClipStore(store_directory(protocol))
+
+
+def test_rendered_clips_are_those_of_the_plans_trials(rendered):
+    study, store = load_study(rendered), store_of(rendered)
+    clips = resolve_clips(study, rendered, store)
+    assert store_problems(clips, store) == []
+    (trial,) = [with_clips(study, trial, clips) for trial in plan(study, 1) if trial.panels]
+    sources = sources_for(trial, store)
+    assert {source.frame_count for source in sources.values()} == {6, 3}
+    assert all(source.size_px == (16, 12) for source in sources.values())
+    by_rate = {source.rate_hz: source for source in sources.values() if source.rate_hz == 120}
+    assert len(by_rate) == 1
+    # the slow clip's frame 1 is the moment of the fast one's frame 2
+    slow = by_rate[120]
+    plain = sources[next(panel.slot for panel in trial.panels if panel.condition == "plain")]
+    np.testing.assert_array_equal(slow.frame(1), plain.frame(2))
+    assert (plain.frame(0) != plain.frame(5)).any()
+    assert luminance_problems(study, trial, store) == []
+    assert memory_problems(list(sources.values())) == []
+    (line,) = memory_problems(list(sources.values()), available_bytes=1000)
+    assert "free memory" in line
+
+
+def test_exposure_is_the_references_and_kept(rendered):
+    store = store_of(rendered)
+    (kept,) = (store.root / "exposure").iterdir()
+    exposure = json.loads(kept.read_text())["exposure"]
+    assert 8 * np.log2(exposure) == pytest.approx(round(8 * np.log2(exposure)))
+    assert {clip.request.exposure for clip in store.published()} == {exposure}
+    kept.write_text("junk")
+    clips = resolve_clips(load_study(rendered), rendered, store)
+    assert {request.exposure for request in clips.requests.values()} == {exposure}
+
+
+def test_second_render_makes_nothing(rendered, capsys):
+    before = {p: p.stat().st_mtime_ns for p in store_of(rendered).clips.rglob("*")}
+    assert main(["render", str(rendered)]) == 0
+    assert "made 0, made again 0 damaged, 3 were there" in capsys.readouterr().out
+    assert before == {p: p.stat().st_mtime_ns for p in store_of(rendered).clips.rglob("*")}
+
+
+@pytest.mark.parametrize("kind", ["a bit turned over", "a file cut short", "two frames swapped", "a foreign file"])
+def test_damage_is_found_by_verify_refused_by_run_and_remade_by_render(copied, kind, capsys):
+    store = store_of(copied)
+    study = load_study(copied)
+    clip = max(store.published(), key=lambda c: c.frame_count)
+    before = files_of(clip.directory)
+    harm, name = DAMAGE[kind]
+    harm(clip.directory)
+    assert main(["store", "verify", "--store", str(store.root)]) == 1
+    assert name in capsys.readouterr().out
+    clips = resolve_clips(study, copied, store)
+    assert store_problems(clips, store)
+    shutil.rmtree(store.root / "play", ignore_errors=True)  # a cache made before the damage would still be right
+    (trial,) = [with_clips(study, trial, clips) for trial in plan(study, 1) if trial.panels]
+    if any(panel.clip == clip.identity for panel in trial.panels):
+        with pytest.raises(InputError):
+            sources_for(trial, store)
+    assert main(["render", str(copied)]) == 0
+    assert "made again 1" in capsys.readouterr().out
+    assert files_of(clip.directory) == before
+    assert main(["store", "verify", "--store", str(store.root)]) == 0
+
+
+def test_listing_tells_every_clip(rendered, capsys):
+    root = str(store_of(rendered).root)
+    assert main(["store", "ls", "--store", root]) == 0
+    out = capsys.readouterr().out
+    assert "3 clips, 15 frames" in out
+    assert main(["store", "ls", "--json", "--store", root]) == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert sorted(row["request"]["technique"] for row in rows) == ["reference", "vanilla", "vanilla"]
+    assert main(["store", "verify", "--quick", "--store", root]) == 0
+
+
+def test_gc_drops_only_what_no_kept_protocol_needs(copied, capsys):
+    store = store_of(copied)
+    other = copied.with_name("other.yaml")
+    other.write_text(PROTOCOL.replace("rate_hz: 120", "rate_hz: 60"))
+    (store.root / "play").mkdir(exist_ok=True)
+    (store.root / "play" / "orphan.rgba").write_bytes(b"")
+    assert main(["store", "gc", "--store", str(store.root), "--keep", str(other), "--dry-run"]) == 0
+    assert "would go: 1 clips, 1 play caches" in capsys.readouterr().out
+    assert len(store.identities()) == 3
+    assert main(["store", "gc", "--store", str(store.root), "--keep", str(other)]) == 0
+    assert len(store.identities()) == 2
+    assert not (store.root / "play" / "orphan.rgba").exists()
+    assert main(["store", "gc", "--store", str(store.root)]) == 0
+    assert len(store.identities()) == 2
+
+
+def test_imported_clips_are_played_like_any_other(copied, tmp_path, capsys):
+    text = PROTOCOL.replace("slow: {technique: vanilla, rate_hz: 120}", "slow: {technique: 'imported:theirs'}")
+    copied.write_text(text)
+    study, store = load_study(copied), store_of(copied)
+    with pytest.raises(InputError, match="imported:theirs: imported clip: got none in the store"):
+        resolve_clips(study, copied, store)
+    (tmp_path / "frames").mkdir()
+    for k in range(6):
+        Image.fromarray(np.full((12, 16, 3), 40 * k, np.uint8)).save(tmp_path / "frames" / f"{k}.png")
+    bring = ["store", "import", str(tmp_path / "frames"), "--rate", "240", "--technique", "theirs", "--scene", "tunnel"]
+    assert main([*bring, "--transfer", "srgb", "--store", str(store.root)]) == 0
+    assert "technique: imported:theirs" in capsys.readouterr().out
+    clips = resolve_clips(study, copied, store)
+    (trial,) = [with_clips(study, trial, clips) for trial in plan(study, 1) if trial.panels]
+    slot = next(panel.slot for panel in trial.panels if panel.condition == "slow")
+    assert sources_for(trial, store)[slot].frame(3)[0, 0].tolist() == [120, 120, 120, 255]
+    assert any("apart" in line for line in luminance_problems(study, trial, store))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["render", "nowhere.yaml"], "nowhere.yaml"),
+        (["render", "demo", "--workers", "0"], "at least 1"),
+        (["store", "ls", "--store", "/nonexistent/store"], "clip store"),
+        (
+            [
+                "store",
+                "import",
+                "/nonexistent",
+                "--rate",
+                "240",
+                "--technique",
+                "a",
+                "--scene",
+                "b",
+                "--transfer",
+                "srgb",
+            ],
+            "nothing there",
+        ),
+    ],
+)
+def test_wrong_input_ends_with_one_line_and_2(arguments, text, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments) == 2
+    error = capsys.readouterr().err
+    assert text in error
+    assert "Traceback" not in error
+
+
+def test_scene_that_is_nowhere_is_named_and_one_that_stands_in_is_said(tmp_path):
+    file = tmp_path / "p.yaml"
+    file.write_text(PROTOCOL.replace("scene: tunnel_geom", "scene: lost.glb"))
+    with pytest.raises(InputError, match=r"lost\.glb"):
+        resolve_clips(load_study(file), file, store_of(file))
+    file.write_text(PROTOCOL.replace("scene: tunnel_geom", "scene: lost.glb, instead: tunnel_geom"))
+    assert "tunnel_geom stands in" in resolve_clips(load_study(file), file, store_of(file)).notes[0]
+
+
+def test_store_is_the_option_the_environment_or_beside_the_protocol(tmp_path, monkeypatch):
+    monkeypatch.delenv("STUDYAPP_STORE", raising=False)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "deep").mkdir()
+    file = tmp_path / "deep" / "p.yaml"
+    file.write_text(PROTOCOL)
+    assert store_directory(file) == tmp_path / "deep" / ".clips"
+    assert store_directory("demo") == tmp_path / ".clips"
+    monkeypatch.setenv("STUDYAPP_STORE", str(tmp_path / "env"))
+    assert store_directory(file) == tmp_path / "env"
+    assert store_directory(file, str(tmp_path / "given")) == tmp_path / "given"
