@@ -48,7 +48,8 @@ class Rule:
 @dataclass(frozen=True)
 class Exclusions:
     """``table``: all trials with ``excluded`` and ``reason``; ``participants``: one row each (participant, trials,
-    analysed, excluded, reason); ``reasons``: trials left out by reason; ``rules``: what was applied."""
+    analysed, left_out, excluded, reason), trials of words alone not counted; ``reasons``: trials left out by reason;
+    ``rules``: what was applied."""
 
     table: pd.DataFrame
     participants: pd.DataFrame
@@ -74,6 +75,7 @@ _RULES: dict[str, tuple[float, str]] = {
     "gaze_off_fixation": (3.0, "trial"),
     "side_bias": (0.9, "participant"),
 }
+WORDS_ONLY = ("instructions", "consent", "break")
 _EITHER = ("gaze_loss", "gaze_off_fixation")
 
 
@@ -121,7 +123,7 @@ def _trial_reasons(table: pd.DataFrame, rules: Sequence[Rule]) -> pd.Series:
 
     mark(table["practice"], "practice")
     mark(table["catch"], "catch trial (tested, not analysed)")
-    mark(table["kind"].isin(["instructions", "consent", "break"]), "no stimulus")
+    mark(table["kind"].isin(WORDS_ONLY), "no stimulus")
     mark(table["status"] != "ok", "not shown whole: " + table["status"].astype(str))
     mark(table["timed_out"].fillna(False), "no answer in time")
     mark(table["response"].isna(), "no answer")
@@ -238,15 +240,16 @@ def apply_exclusions(table: pd.DataFrame, rules: Sequence[Rule], sessions: Seque
         hit = (table["participant"] == participant) & (table["reason"] == "")
         table.loc[hit, "reason"] = "participant excluded: " + why
     table["excluded"] = table["reason"] != ""
+    shown = table[~table["kind"].isin(WORDS_ONLY)]
     people = list(dict.fromkeys([s.participant for s in sessions] or table["participant"]))
     rows = []
     for participant in people:
-        own = table[table["participant"] == participant]
+        own = shown[shown["participant"] == participant]
         kept = int((~own["excluded"]).sum())
         why = out.get(participant, "" if kept else "no trial left")
         rows.append((participant, len(own), kept, len(own) - kept, bool(why), why))
     columns = ["participant", "trials", "analysed", "left_out", "excluded", "reason"]
-    counts = table.loc[table["excluded"], "reason"].value_counts(sort=False)
+    counts = shown.loc[shown["excluded"], "reason"].value_counts(sort=False)
     reasons = pd.DataFrame({"reason": counts.index.astype(str), "trials": counts.to_numpy(dtype=int)})
     return Exclusions(table, pd.DataFrame(rows, columns=columns), reasons, tuple(rules))
 

@@ -6,6 +6,7 @@ Every planned test appears in the results. What cannot be computed stands there 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -139,39 +140,48 @@ def rows_of(kept: pd.DataFrame, test: Test) -> tuple[pd.DataFrame, str]:
 
 
 def run_plan(plan: Plan, kept: pd.DataFrame, progress: Callable[[], object] = lambda: None) -> list[Result]:
-    """Every test of the plan in its order; ``separately_by`` gives one result a level. Families are adjusted together
-    (column ``p_family``)."""
+    """Every test of the plan in its order, one result each (``separately_by``: its levels as leading columns). Families
+    are adjusted together (column ``p_family``)."""
     results: list[Result] = []
     for test in plan.tests:
-        for part in _parts(test, kept):
-            results.append(_run(part, kept, plan))
+        if test.test not in RUNNERS:
+            raise InputError(
+                problem(f"analysis plan: {test.name}", "unknown test", repr(test.test), " | ".join(RUNNERS))
+            )
+        results.append(_run_separately(test, kept, plan) if test.separately_by else _run(test, kept, plan))
         progress()
     return _adjust_families(results, plan)
 
 
-def _parts(test: Test, kept: pd.DataFrame) -> list[Test]:
-    """One test for each combination of levels of ``separately_by`` that occurs."""
-    columns = [name for name in test.separately_by if name in kept]
-    if not columns:
-        return [test]
-    combinations = kept[columns].dropna().astype(str).drop_duplicates().sort_values(columns)
-    parts = []
-    for levels in rows_of_table(combinations):
-        chosen = dict(zip(columns, levels, strict=True))
-        where = {**test.where, **{column: [level] for column, level in chosen.items()}}
-        label = ", ".join(f"{column} = {level}" for column, level in chosen.items())
-        parts.append(
-            Test(
-                f"{test.name}, {label}", test.test, test.dv, test.within, test.between, test.subject, where,
-                (), test.effects, test.options, label,
-            )
-        )  # fmt: skip
-    return parts
+def _run_separately(test: Test, kept: pd.DataFrame, plan: Plan) -> Result:
+    """The test once for each combination of levels of ``separately_by`` among its rows, in one table."""
+    columns = list(test.separately_by)
+    try:
+        own, _ = rows_of(kept, test)
+        levels = pd.concat([column_of(own, name, test) for name in columns], axis=1).dropna().astype(str)
+    except InputError as error:
+        return _without(test, "undefined", str(error))
+    found = list(rows_of_table(levels.drop_duplicates().sort_values(columns)))
+    if not found:
+        return _without(test, "undefined", "no analysed trial answers this test")
+    parts, notes = [], []
+    for combination in found:
+        where = {**test.where, **{column: [level] for column, level in zip(columns, combination, strict=True)}}
+        result = _run(replace(test, where=where), kept, plan)
+        # a test by condition returns the condition itself: it is not named twice
+        kept_columns = [column for column in result.table.columns if column not in columns]
+        table = result.table[kept_columns]
+        for place, (column, level) in enumerate(zip(columns, combination, strict=True)):
+            table.insert(place, column, level)
+        parts.append((result, table))
+        notes += [f"{', '.join(combination)}: {note}" for note in result.notes]
+    first = next((result for result, _ in parts if result.method), parts[0][0])
+    joined = pd.concat([table for _, table in parts], ignore_index=True)
+    joined.attrs.update({key: value for key, value in first.table.attrs.items() if key == "adjust"})
+    return Result(test, joined, first.method, max(result.n_subjects for result, _ in parts), tuple(notes))
 
 
 def _run(test: Test, kept: pd.DataFrame, plan: Plan) -> Result:
-    if test.test not in RUNNERS:
-        raise InputError(problem(f"analysis plan: {test.name}", "unknown test", repr(test.test), " | ".join(RUNNERS)))
     try:
         own, dv = rows_of(kept, test)
         if own.empty:

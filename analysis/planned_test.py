@@ -13,8 +13,7 @@ from stimuli.errors import InputError, problem
 
 @dataclass(frozen=True)
 class Test:
-    """One planned test, in the words of `protocols.analysis_plan.PlannedTest`; ``label`` names the level of
-    ``separately_by`` it stands for."""
+    """One planned test, in the words of `protocols.analysis_plan.PlannedTest`."""
 
     __test__ = False  # not a test case of pytest's
 
@@ -28,7 +27,6 @@ class Test:
     separately_by: tuple[str, ...] = ()
     effects: tuple[str, ...] = ()
     options: Mapping[str, Any] = field(default_factory=dict)
-    label: str = ""
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,7 @@ from analysis.manipulation import luminance_differences, manipulation_checks
 from analysis.observers import circular_triads
 from analysis.plan import plan_of, run_plan
 from analysis.plots import draw
+from analysis.protocol_facts import title_of
 from analysis.quality import response_effects
 from analysis.sessions import Session, combine, read_sessions
 from analysis.timing import Timing, onset_statement, refresh_timing
@@ -72,7 +73,7 @@ def analyse(
     kind = sessions[0].observer_kind
     results_json = {
         "format": FORMAT,
-        "title": str(sessions[0].header.get("title") or sessions[0].header.get("study") or "study"),
+        "title": title_of(sessions),
         "study": str(sessions[0].header.get("study", "")),
         "observer_kind": kind,
         "simulated": kind == "simulated",
@@ -100,8 +101,8 @@ def _glance(exclusions: Exclusions, timing: Timing) -> list[dict[str, str]]:
         {"label": "participants analysed", "value": f"{included}", "detail": f"of {len(people)}"},
         {
             "label": "presentations analysed",
-            "value": f"{len(exclusions.kept):,}",
-            "detail": f"of {len(exclusions.table):,}",
+            "value": f"{people['analysed'].sum():,}",
+            "detail": f"of {people['trials'].sum():,}",
         },
         {"label": "missed refreshes", "value": f"{missed:,}", "detail": f"of {total:,}"},
     ]
@@ -141,7 +142,10 @@ def _methods(
     lines.append(f"Study seed(s): {', '.join(seeds)}. Protocol sha256: {', '.join(hashes)}.")
     if len(hashes) > 1:
         lines.append("The sessions were run under different versions of the protocol.")
-    return section("methods", "Methods", [words_block(*lines)], blind=True)
+    blocks = [words_block(*lines)]
+    if not blind:
+        blocks += sections.design_blocks(sessions)
+    return section("methods", "Methods", blocks, blind=True)
 
 
 def render_html(results: Mapping[str, Any]) -> str:

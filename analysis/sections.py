@@ -17,6 +17,7 @@ from analysis.exclusions import Exclusions
 from analysis.gaze import Gaze
 from analysis.plan import catch_table, likert_questions, within_factors
 from analysis.planned_test import Plan, Result
+from analysis.protocol_facts import replication_of
 from analysis.rows import rows_of_table
 from analysis.sessions import Session
 from analysis.timing import Timing, overrides
@@ -39,7 +40,8 @@ def participants_section(exclusions: Exclusions, sessions: Sequence[Session]) ->
         ("participant", "participant", "text"), ("group", "group", "text"), ("trials", "presentations", "int"),
         ("analysed", "analysed", "int"), ("left_out", "left out", "int"), ("reason", "excluded because", "text"),
     )  # fmt: skip
-    keep = columns if people["group"].notna().any() else tuple(column for column in columns if column[0] != "group")
+    empty = {name for name in ("group", "reason") if not people[name].fillna("").astype(str).any()}
+    keep = tuple(column for column in columns if column[0] not in empty)
     blocks.append(table_block("participants", "Participants", people, keep))
     reasons = (("reason", "reason", "text"), ("trials", "presentations", "int"))
     blocks.append(table_block("reasons", "Presentations left out, by reason", exclusions.reasons, reasons))
@@ -287,7 +289,8 @@ def tests_section(results: Sequence[Result], plan: Plan, kept: pd.DataFrame) -> 
         note = " ".join(
             part for part in (result.method, *result.notes, f"Hypothesis: {hypothesis}" if hypothesis else "") if part
         )
-        columns = [("effect", "effect", "text"), *shown.RESULT_COLUMNS.get(result.test.test, ())]
+        leading = [(name, name, "text") for name in result.test.separately_by]
+        columns = [*leading, ("effect", "effect", "text"), *shown.RESULT_COLUMNS.get(result.test.test, ())]
         if result.test.test == "likert_summary":
             columns = [(c, c, "text" if result.table[c].dtype == object else "f2") for c in result.table.columns[:-2]]
         blocks.append(table_block(f"test-{place + 1}", head, result.table, columns, note))
@@ -297,6 +300,32 @@ def tests_section(results: Sequence[Result], plan: Plan, kept: pd.DataFrame) -> 
         "Planned tests" if plan.stated else "Tests derived from the design",
         [b for b in blocks if b.get("paragraphs", True)],
     )
+
+
+def design_blocks(sessions: Sequence[Session]) -> list[Block]:
+    """What each condition's name stands for, and what the study repeats and changes of an earlier one."""
+    rows = []
+    for name, stated in sorted((sessions[0].header.get("conditions") or {}).items()):
+        settings = ", ".join(f"{key} {value}" for key, value in (stated.get("params") or {}).items())
+        rate = stated.get("rate_hz") or "the display's"
+        rows.append({"condition": name, "label": stated.get("label") or "", "technique": stated.get("technique", ""),
+                     "rate_hz": str(rate), "params": settings})  # fmt: skip
+    blocks: list[Block] = []
+    if rows:
+        columns = [("condition", "condition", "text"), ("label", "label", "text"), ("technique", "technique", "text"),
+                   ("rate_hz", "rate Hz", "text"), ("params", "parameters", "text")]  # fmt: skip
+        blocks.append(table_block("conditions", "Conditions", pd.DataFrame(rows), columns))
+    repeated = replication_of(sessions)
+    if repeated:
+        what = {"direct": "direct replication", "conceptual": "conceptual replication"}.get(
+            str(repeated.get("kind")), "proposal"
+        )
+        deviations = pd.DataFrame(repeated.get("deviations") or [], columns=["paper", "here", "why"]).astype(str)
+        columns = [("paper", "paper", "text"), ("here", "here", "text"), ("why", "why", "text")]
+        blocks.append(
+            table_block("replication", f"{what.capitalize()} of {repeated.get('of')}: deviations", deviations, columns)
+        )
+    return blocks
 
 
 def gaze_section(gaze: Gaze | None) -> dict[str, Any] | None:

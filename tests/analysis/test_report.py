@@ -1,4 +1,4 @@
-"""The report: numbers from the generating model, HTML from JSON alone, marks on simulated data, pictures in a browser."""
+"""The report: numbers from the generating model, HTML from JSON alone, marks on simulated data, one offline page."""
 
 from __future__ import annotations
 

@@ -1,0 +1,62 @@
+"""What the report and the exports need from the protocol and lab texts that a session stores."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
+
+from analysis.sessions import Session
+
+
+def protocol_of(session: Session) -> Mapping[str, Any]:
+    """The session's protocol as plain mappings; empty where its text is absent or no YAML mapping."""
+    return _mapping(session.header.get("protocol_text"))
+
+
+def lab_of(session: Session) -> Mapping[str, Any]:
+    """The session's lab file as plain mappings; empty where the room was undeclared."""
+    return _mapping(session.header.get("lab_text"))
+
+
+def _mapping(text: Any) -> Mapping[str, Any]:
+    if not isinstance(text, str) or not text.strip():
+        return {}
+    try:
+        loaded = YAML(typ="safe", pure=True).load(text)
+    except YAMLError:
+        return {}
+    return loaded if isinstance(loaded, Mapping) else {}
+
+
+def title_of(sessions: Sequence[Session]) -> str:
+    """The study's title, its name where it has none."""
+    title = protocol_of(sessions[0]).get("title")
+    return str(title or sessions[0].header.get("study") or "study")
+
+
+def replication_of(sessions: Sequence[Session]) -> Mapping[str, Any] | None:
+    """The protocol's statement of what it repeats (of, kind, deviations), if it makes one."""
+    stated = protocol_of(sessions[0]).get("replication")
+    return stated if isinstance(stated, Mapping) else None
+
+
+def screen_of(session: Session) -> dict[str, Any]:
+    """Screen geometry: size_px, width_m, height_m, distance_m; the lab file's display before the protocol's.
+
+    Only what is stated: absent keys were stated nowhere. Height follows from square pixels where the protocol alone
+    gives a width.
+    """
+    found: dict[str, Any] = {}
+    for source in (protocol_of(session).get("display"), lab_of(session).get("display")):
+        if isinstance(source, Mapping):
+            keys = ("size_px", "width_m", "height_m", "distance_m")
+            found.update({key: source[key] for key in keys if source.get(key) is not None})
+    certificate = session.header.get("certificate") or {}
+    if certificate.get("size_px"):
+        found["size_px"] = list(certificate["size_px"])
+    if "height_m" not in found and {"width_m", "size_px"} <= found.keys():
+        found["height_m"] = float(found["width_m"]) * found["size_px"][1] / found["size_px"][0]
+    return found
