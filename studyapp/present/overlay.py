@@ -21,6 +21,7 @@ from renderers.technique import ViewGeometry
 from stimuli.errors import InputError, problem
 
 SMALLEST_X_HEIGHT_DEG = 0.3
+LINE_LETTERS = 66
 FONT_FOLDERS = ("/usr/share/fonts", "/usr/local/share/fonts", "~/.fonts", "/Library/Fonts", "C:/Windows/Fonts")
 DEFAULT_FONTS = ("DejaVuSans.ttf", "NotoSans-Regular.ttf", "LiberationSans-Regular.ttf", "Arial.ttf", "arial.ttf")
 NOT_DRAWN = frozenset("\n\r\t \u00a0\u200b\u200c\u200d\u200e\u200f\u2060\ufe0e\ufe0f\u00ad")
@@ -214,7 +215,7 @@ def paint_words(
     box = box_px if box_px is not None else _inner(display_px, style)
 
     def paint(font: ImageFont.FreeTypeFont, width: int) -> Image.Image:
-        return _lines(wrap(text, font, width), font, style.ink)
+        return _lines(wrap(text, font, _measure(font, width)), font, style.ink)
 
     return _fit(text, paint, box, display_px, geometry, style)
 
@@ -232,7 +233,7 @@ def paint_question(question: Question, display_px: tuple[int, int], geometry: Vi
     letters = question.text + "".join(key + label for key, label in cells)
 
     def paint(font: ImageFont.FreeTypeFont, width: int) -> Image.Image | None:
-        head = _lines(wrap(question.text, font, width), font, style.ink)
+        head = _lines(wrap(question.text, font, _measure(font, width)), font, style.ink)
         if not cells:
             return head
         table = _cells(cells, font, width, style)
@@ -258,6 +259,15 @@ def _inner(display_px: tuple[int, int], style: Style) -> tuple[int, int, int, in
     return margin_x, margin_y, display_px[0] - 2 * margin_x, display_px[1] - 2 * margin_y
 
 
+def _measure(font: ImageFont.FreeTypeFont, width_px: int) -> int:
+    """Width of a line: what `_lines` has room for, and no more letters than the eye follows easily."""
+    return max(1, min(width_px - 2 * _pad(font) - 1, round(LINE_LETTERS * font.getlength("n"))))
+
+
+def _pad(font: ImageFont.FreeTypeFont) -> int:
+    return _line_height(font) // 4
+
+
 def _line_height(font: ImageFont.FreeTypeFont) -> int:
     ascent, descent = font.getmetrics()
     return round(1.2 * (ascent + descent))
@@ -265,7 +275,7 @@ def _line_height(font: ImageFont.FreeTypeFont) -> int:
 
 def _lines(lines: Sequence[str], font: ImageFont.FreeTypeFont, level: int) -> Image.Image:
     """Centred lines on nothing; the picture holds every glyph whole, overhangs too."""
-    pad = _line_height(font) // 4
+    pad = _pad(font)
     widths = [font.getlength(line) for line in lines]
     high = _line_height(font)
     image = Image.new(
@@ -288,7 +298,7 @@ def _cells(
     )
     if whole_words and column >= 2 * font.getlength("M"):
         return _columns([key for key, _ in cells], labels, font, column, style)
-    rows = [line for key, label in cells for line in wrap(f"{key}   {label}".rstrip(), font, width)]
+    rows = [line for key, label in cells for line in wrap(f"{key}   {label}".rstrip(), font, _measure(font, width))]
     return _lines(rows, font, style.ink)
 
 
@@ -305,7 +315,7 @@ def _columns(
         pad = high // 4
         box = (middle - width / 2 - pad, 2, middle + width / 2 + pad, high + pad)
         draw.rounded_rectangle(box, radius=pad, outline=(style.dim,) * 3 + (255,), width=max(1, high // 16))
-        draw.text((middle - width / 2, pad // 2), key, font=font, fill=(style.ink,) * 3 + (255,))
+        draw.text((middle, (high + pad + 2) / 2), key, font=font, fill=(style.ink,) * 3 + (255,), anchor="mm")
         for row, line in enumerate(lines):
             at = (middle - font.getlength(line) / 2, (row + 1.5) * high)
             draw.text(at, line, font=font, fill=(style.ink,) * 3 + (255,))

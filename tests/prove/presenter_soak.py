@@ -60,11 +60,10 @@ class StalledDisplay:
 def soak(display: Display, seconds: float, stalls: int, seed: int) -> dict[str, Any]:
     """Play one trial of ``seconds`` and compare what was recorded with what was done to it."""
     certificate = certify(display)
-    used = [] if certificate.locked else require_lock(
-        certificate, display.nominal_hz, {LOCK_OVERRIDE: "soak of the window path"}, simulated=True
-    )  # fmt: skip
+    override = {LOCK_OVERRIDE: "soak of the window path"}
+    used = require_lock(certificate, display.nominal_hz, override, simulated=True)
     rng = np.random.default_rng(seed)
-    swaps = int(seconds * 1e9 / certificate.period_ns * 0.9)
+    swaps = int(0.95 * seconds * float(display.nominal_hz)) - 8 * stalls
     # Stalls stand at least 20 swaps apart, none in the first or last 50.
     room = np.sort(rng.choice((swaps - 100) // 20, stalls, replace=False)) * 20 + 50
     script = dict(zip(room.tolist(), rng.uniform(0.005, 0.030, stalls).tolist(), strict=True))
@@ -78,7 +77,7 @@ def soak(display: Display, seconds: float, stalls: int, seed: int) -> dict[str, 
     presenter.play(trial, clips, miss_policy="skip")
     presenter.close()
     rows = sink.rows()
-    # The clip counts as found where the row of the stalled swap, or a neighbour, has the lost refreshes.
+    # A stall counts as found where the rows of its swap and the two beside it have the lost refreshes.
     returned = np.array(held.returned_ns, np.int64)
     # The period in force: a compositor's depends on the work it has, so it is taken from the clock readings.
     period_ns = float(np.median(np.diff(returned)))
@@ -88,7 +87,8 @@ def soak(display: Display, seconds: float, stalls: int, seed: int) -> dict[str, 
     done = {swap: length for swap, length in script.items() if swap < len(rows) - 1}
     explained = np.zeros(len(rows), bool)
     for swap, length in done.items():
-        truth = round((returned[swap] - returned[swap - 1]) / period_ns) - 1
+        # Refreshes that went by from before the swap's predecessor to its successor, by the clock, less the three swaps.
+        truth = round((returned[swap + 1] - returned[swap - 2]) / period_ns) - 3
         window = rows["missed"][swap - 1 : swap + 2]
         found = int(window.sum())
         explained[swap - 1 : swap + 2] = True
