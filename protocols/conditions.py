@@ -23,7 +23,9 @@ class Settings(Model):
     rate_hz: Rate | None = Field(default=None, description="content rate, where the condition names none")
     start_s: Exact | None = None
     warm_up_s: Exact | None = None
-    path: Name | None = Field(default=None, description="file | still | sway | toycar | interactive | a name under paths")
+    path: Name | None = Field(
+        default=None, description="file | still | sway | toycar | interactive | a name under paths"
+    )
     animation: str | None = None
     lighting: Lighting | None = None
     loop: Literal["once", "closed"] | None = None

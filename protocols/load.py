@@ -13,7 +13,7 @@ from typing import Annotated, Any, Union, get_args, get_origin
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from protocols.references import reference_problems
+from protocols.references import gaze_problems, reference_problems
 from protocols.study import Study
 from protocols.yaml_source import Mark, Node, read_yaml
 from stimuli.errors import InputError, problem
@@ -47,6 +47,8 @@ def read_study(path: str | Path) -> tuple[Study, str]:
     study = _validated(root, problems)
     if study is not None:
         for loc, what, got, wanted in reference_problems(study, written):
+            _note(problems, root.find(loc), what, got, wanted)
+        for loc, what, got, wanted in gaze_problems(study) if not problems else ():
             _note(problems, root.find(loc), what, got, wanted)
     if problems:
         raise InputError(*[problems[key] for key in sorted(problems)])
@@ -112,18 +114,23 @@ def _name_of(node: Node) -> object:
 
 def _validated(root: Node, problems: dict[tuple[str, int, int, str], str]) -> Study | None:
     """Validate; on errors note them, take the faulty parts out of the tree and go on, so that names are checked too."""
+    taken: set[tuple[int, Step]] = set()
     for _ in range(8):
         try:
             return Study.model_validate_json(json.dumps(root.plain()))
         except ValidationError as error:
             details = error.errors(include_url=False)
-        for detail in details:
-            _note(problems, *_describe(root, detail))
         faulty = [_innermost(root, detail["loc"]) for detail in details]
+        for detail, found in zip(details, faulty, strict=True):
+            # What was taken out before is not missing: its own fault has been told.
+            inside = id(found[2] if found else root)
+            if detail["type"] != "missing" or (inside, detail["loc"][-1]) not in taken:
+                _note(problems, *_describe(root, detail))
         if None in faulty:
             return None
-        for found in faulty:
-            _take_out(*found)  # type: ignore[misc]
+        for holder, step, part in filter(None, faulty):
+            taken.add((id(holder), step))
+            _take_out(holder, step, part)
     return None
 
 

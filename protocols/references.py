@@ -6,11 +6,13 @@ import difflib
 import json
 from collections.abc import Collection, Iterator, Mapping
 from fractions import Fraction
+from itertools import product
 from typing import Any
 
 from pydantic import ValidationError
 
 from protocols.blocks import PAIR_KINDS, WORD_KINDS, Block, ExplicitTrial
+from protocols.cells import block_cells
 from protocols.study import Study
 from renderers.catalogue import CATALOGUE
 
@@ -220,6 +222,30 @@ def _compare(study: Study, names: _Declared, block: Block, loc: Loc, what: str) 
                     f"no gaze-contingent technique side by side ({technique} follows one gaze): two_interval or likert"
                 )
                 yield (*loc, "compare", "of"), f"{what}.compare.of", name, wanted
+
+
+def gaze_problems(study: Study) -> Iterator[Problem]:
+    """A picture made for one gaze cannot be stored for an eye that is free to look anywhere. Only for a study whose
+    names all lead somewhere."""
+    between = study.participants.between
+    groups = [dict(zip(between, pick, strict=True)) for pick in product(*between.values())]
+    known = study.all_conditions()
+    for index, block in enumerate(study.blocks):
+        told: set[str] = set()
+        if block.kind in WORD_KINDS or block.adaptive is not None:
+            continue
+        cells = (cell for group in groups for cell in block_cells(study, block, group))
+        for name, settings in ((name, cell.settings) for cell in cells for name in cell.members):
+            condition = known.get(name)
+            entry = CATALOGUE.get(condition.technique) if condition else None
+            if condition is None or entry is None or not entry.gaze_contingent or name in told:
+                continue
+            live = settings.get("live") if condition.live is None else condition.live
+            if settings.get("fixation") == "free" and not live:
+                told.add(name)
+                got = f"{name} ({condition.technique}) with a free gaze from the store"
+                wanted = "live: true, or fixation: fixed | moving (what the eye will do is not known beforehand)"
+                yield ("blocks", index), f"blocks[{index}]", got, wanted
 
 
 def _explicit(names: _Declared, block: Block, trial: ExplicitTrial, loc: Loc, what: str) -> Iterator[Problem]:
