@@ -91,6 +91,7 @@ class Material:
     ``pbr`` carries factors, textures (`pyrender.Texture`: ``source`` uint8 array (H, W, C), ``sampler`` with GL wrap
     and filter enums), alphaMode/alphaCutoff and doubleSided. ``unlit``: base colour is emitted as it is. All textures
     are looked up at the part's texcoord_0, v downwards (glTF). ``emissiveFactor`` may exceed 1 (its strength included).
+    ``captured``: a surface of the real room (mixed reality): its texture is the capture, it only receives shadows.
     ``ior``: F0 of a dielectric is ((ior - 1) / (ior + 1))^2; 0.04 for 1.5.
     """
 
@@ -100,6 +101,7 @@ class Material:
     transmission: float = 0.0
     unlit: bool = False
     ior: float = 1.5
+    captured: bool = False
 
 
 class Primitive(pyrender.Primitive):

@@ -12,7 +12,17 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from stimuli.scene import Scene
 
-_NAMES = ("tunnel_geom", "tunnel_maps", "toy_car", "bar")
+_NAMES = (
+    "tunnel_geom",
+    "tunnel_maps",
+    "toy_car",
+    "bar",
+    "voxel_city",
+    "living_room",
+    "hairball",
+    "robot",
+    "mixed_reality_room",
+)
 
 
 def _builder(name: str) -> Callable[[], Scene]:

@@ -139,6 +139,31 @@ def sphere(radius_m: float, rings: int = 24, segments: int = 48) -> Mesh:
     return Mesh(mesh.positions, mesh.positions / radius_m, mesh.uv, mesh.indices)
 
 
+def cushion(size: Sequence[float], softness: float = 0.35, rings: int = 24, segments: int = 48) -> Mesh:
+    """A superellipsoid in a box of ``size``: softness 1 is an ellipsoid, towards 0 a box."""
+    up, around = np.meshgrid(
+        np.linspace(-np.pi / 2, np.pi / 2, rings + 1), np.linspace(0.0, 2 * np.pi, segments + 1), indexing="ij"
+    )
+
+    def superellipse(angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The point at ``angle`` of |x|^(2/softness) + |y|^(2/softness) = 1; even in angle, so no triangles crowd."""
+        x, y = np.cos(angle), np.sin(angle)
+        x = np.where(np.abs(x) < 1e-15, 0.0, x)
+        reach = (np.abs(x) ** (2 / softness) + np.abs(y) ** (2 / softness)) ** (-softness / 2)
+        return x * reach, y * reach
+
+    (flat, rise), (front, side) = superellipse(up), superellipse(around)
+    half = np.asarray(size, np.float64) / 2.0
+    points = half * np.stack([flat * side, rise, flat * front], axis=2)
+    steep = (2.0 - softness) / softness
+    flat, rise, front, side = (np.sign(c) * np.abs(c) ** steep for c in (flat, rise, front, side))
+    normals = np.stack([flat * side, rise, flat * front], axis=2) / half
+    normals /= np.linalg.norm(normals, axis=2, keepdims=True)
+    uv = np.stack([around / (2 * np.pi), 0.5 - up / np.pi], axis=2)
+    mesh = grid(points, uv)
+    return Mesh(mesh.positions, normals.reshape(-1, 3), mesh.uv, _without_slivers(mesh))
+
+
 def cylinder(radius_m: float, length_m: float, segments: int = 32) -> Mesh:
     """A closed cylinder along y about the origin, with sharp edges."""
     half = length_m / 2.0

@@ -249,3 +249,70 @@ def test_the_bar_has_fifteen_lights_mirrors_bottles_and_thin_bright_things() -> 
     assert any(m.pbr.metallicFactor == 1.0 and m.pbr.roughnessFactor == 0.0 for m in materials)
     assert any(m.transmission > 0.0 for m in materials)
     assert max(float(np.max(m.pbr.emissiveFactor)) for m in materials) > 5.0
+
+
+def test_the_voxel_city_has_no_hidden_faces_and_its_camera_flies_through_air() -> None:
+    from stimuli.procedural.shapes import generator
+    from stimuli.procedural.voxel_city import SIDE, city
+
+    scene = SCENES["voxel_city"]()
+    voxels = city(generator("voxel_city"))
+    faces = 0
+    padded = np.pad(voxels != 0, 1)
+    for axis in range(3):
+        for sign in (1, -1):
+            faces += int((padded & ~np.roll(padded, sign, axis))[1:-1, 1:-1, 1:-1].sum())
+    ground = SIDE * SIDE
+    assert scene.triangle_count == 2 * (faces - ground)
+    eyes = scene.camera.pose(np.linspace(0.0, 8.0, 800))[:, :3, 3]
+    cells = np.floor(np.add(eyes, (SIDE / 2, 0.0, SIDE / 2))).astype(int)
+    inside = (cells >= 0).all(axis=1) & (cells < voxels.shape).all(axis=1)
+    assert inside.any()
+    assert (voxels[tuple(cells[inside].T)] == 0).all()
+
+
+def test_the_mixed_reality_room_has_nine_objects_of_290k_triangles_and_a_light_on_a_circle(assets: Path) -> None:
+    from stimuli.procedural.mixed_reality_room import PLACES, build
+
+    scene = build()
+    captured = [part for part in scene.static if part.material.captured]
+    things = [part for part in scene.static if not part.material.captured]
+    assert {part.name for part in things} == set(PLACES)
+    assert len(captured) == 3
+    assert sum(len(part.primitive.indices) for part in things) == pytest.approx(290_000, rel=0.01)
+    (light,) = scene.lights
+    assert light.track is not None
+    places = light.track.pose(np.linspace(0.0, 12.0, 25))[:, :3, 3]
+    assert np.allclose(np.linalg.norm((places - places.mean(axis=0))[:-1], axis=1), 1.0, atol=0.05)
+    files = {
+        "bunny": assets / "stanford_bunny/bun_zipper.ply",
+        "teapot": assets / "utah_teapot/teapot.obj",
+        "spot": assets / "spot/spot.obj",
+    }
+    given = build(files)
+    assert given.sha256 != scene.sha256
+    assert not given.notes
+    for name, place in PLACES.items():
+        corner = np.concatenate(
+            [p.positions @ p.matrix[:3, :3].T + p.matrix[:3, 3] for p in given.static if p.name.startswith(name)]
+        )
+        assert corner[:, 1].min() == pytest.approx(place[1], abs=0.06), name
+    with pytest.raises(InputError, match="bunny, teapot or spot"):
+        build({"dragon": files["bunny"]})
+
+
+def test_the_robot_walks_on_its_floor_and_every_scene_closes_its_loop() -> None:
+    robot = SCENES["robot"]()
+    assert len(robot.movers) == 16
+    times = np.linspace(0.0, robot.duration_s, 161)
+    lowest = np.full(161, np.inf)
+    for mover in robot.movers:
+        local = np.concatenate([p.positions @ p.matrix[:3, :3].T + p.matrix[:3, 3] for p in mover.parts])
+        pose = mover.track.pose(times)
+        lowest = np.minimum(lowest, (local @ pose[:, 1, :3].T + pose[:, 1, 3]).min(axis=0))
+        assert np.allclose(pose[0], pose[-1], atol=1e-9), mover.name
+    assert -0.02 < lowest.min() < 0.1
+    for name in ("toy_car", "bar", "voxel_city", "living_room", "hairball", "robot", "mixed_reality_room"):
+        scene = SCENES[name]()
+        ends = scene.camera.pose(np.array([0.0, scene.duration_s]))
+        assert np.allclose(ends[0], ends[1], atol=1e-9), name
