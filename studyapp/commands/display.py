@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 from fractions import Fraction
 from pathlib import Path
 
@@ -36,6 +37,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--photometry", nargs="?", const="spotread", default=None, metavar="METER",
                         help="measure luminance: spotread | serial:PORT | typed")  # fmt: skip
+    parser.add_argument(
+        "--photometry-out", default="photometry.json", metavar="FILE", help="where the measured luminance goes"
+    )
     parser.add_argument("--json", action="store_true", help="print the certificate as JSON")
 
 
@@ -58,6 +62,7 @@ def run(args: argparse.Namespace) -> int:
             from studyapp.photometry import measure_photometry
 
             photometry = measure_photometry(display, args.photometry)
+            Path(args.photometry_out).write_text(json.dumps(photometry, indent=2) + "\n", encoding="utf-8")
         certificate = certify(
             display, args.refreshes, declared=lab.display.declared, encoding=lab.encoding_name(), light=light,
             photometry=photometry, nominal_hz=None if kind != "glfw" or args.rate is None else rate,

@@ -51,7 +51,8 @@ class PanelPlay:
 class Phase:
     """One stretch of refreshes. ``refreshes`` None: until a press. ``loop_refreshes``: the content begins anew after
     so many. A press of ``end_keys`` (None: of any key) at or after ``min_view_ns`` from onset ends the phase;
-    frozenset(): presses end nothing. ``marks``: FLIP_* bits of its first row."""
+    frozenset(): presses end nothing. ``marks``: FLIP_* bits of its first row.
+    ``continues``: it follows another phase at once; else refreshes that went by before it were idle, and not lost."""
 
     refreshes: int | None
     panels: Sequence[PanelPlay] = ()
@@ -62,6 +63,7 @@ class Phase:
     abort_keys: frozenset[str] = frozenset()
     marks: int = 0
     patch: Literal["off", "refresh", "on", "dark"] = "off"
+    continues: bool = False
     on_onset: Callable[[int], None] | None = None
 
 
@@ -197,6 +199,7 @@ def _loop(
         uploaded = now_ns()
         newest = gaze.newest() if gaze is not None else None
         done = flip()
+        lost = done.missed if shown.swaps or phase.continues else 0
         age = -1
         if newest is not None:
             # How old the gaze was when the swap was requested.
@@ -204,7 +207,7 @@ def _loop(
             shown.oldest_gaze_ns = max(shown.oldest_gaze_ns, age)
         flags = done.flags | marks | (FLIP_LIGHT_PATCH if lit else 0)
         row[0] = (
-            done.index, done.due_ns, done.submitted_ns, done.shown_ns, done.missed, flags, tuple(sources),
+            done.index, done.due_ns, done.submitted_ns, done.shown_ns, lost, flags, tuple(sources),
             uploaded - drawn, drawn - started, age,
         )  # fmt: skip
         put(row)
@@ -213,7 +216,7 @@ def _loop(
             if phase.on_onset is not None:
                 phase.on_onset(done.shown_ns)
         else:
-            shown.missed += done.missed
+            shown.missed += lost
         shown.swaps += 1
         if done.flags:
             shown.early += bool(done.flags & FLIP_EARLY)
@@ -243,6 +246,8 @@ def _leap(
     ended = False
     next_press = getattr(responder, "next_press_ns", None)
     first = display.flip_block(1)
+    if not phase.continues:
+        first["missed"] = 0
     shown.onset_ns, shown.first_refresh = int(first["shown_ns"][0]), int(first["refresh"][0])
     last = shown.first_refresh
     blocks.append(first)

@@ -171,13 +171,14 @@ class Presenter:
                 for place, panels in enumerate(shows):
                     if place:
                         gap = max(1, refresh_count(gap_s, self.display.nominal_hz))
-                        self._blank(gap, responder, gaze, cross=True, marks=FLIP_OFFSET)
+                        self._blank(gap, responder, gaze, cross=True, marks=FLIP_OFFSET, continues=True)
                     last = place == len(shows) - 1
-                    phase = replace(base, panels=panels, end_keys=answer_keys if last else frozenset())
+                    ends = answer_keys if last else frozenset()
+                    phase = replace(base, panels=panels, end_keys=ends, continues=place > 0 or cross_s > 0)
                     done.append(show_phase(self.stage, phase, responder, gaze, miss_policy))
                     if done[-1].aborted or done[-1].device_lost:
                         break
-                blank = self._blank(1, responder, gaze, cross=False, marks=FLIP_OFFSET)
+                blank = self._blank(1, responder, gaze, cross=False, marks=FLIP_OFFSET, continues=True)
         return _trial_shown(done, blank, refreshes if repeat == "until_answer" else None)
 
     def ask(
@@ -267,8 +268,9 @@ class Presenter:
         if absent:
             raise InputError(problem(where, "frames for panels", f"none for {', '.join(absent)}", "one source a panel"))
         used = {panel.slot: sources[panel.slot] for panel in trial.panels}
+        modes = modes_hz or getattr(self.display, "modes_hz", ())
         for slot, source in used.items():
-            check_rate(f"{where}, panel {slot}", source.rate_hz, self.display.nominal_hz, modes_hz)
+            check_rate(f"{where}, panel {slot}", source.rate_hz, self.display.nominal_hz, modes)
             if source.frame_count < 1:
                 raise InputError(problem(f"{where}, panel {slot}", "frames", source.frame_count, "1 or more"))
         if self._gl is not None:
@@ -312,10 +314,18 @@ class Presenter:
             return show_phase(self.stage, phase, responder, gaze, "skip")
 
     def _blank(
-        self, refreshes: int, responder: Responder | None, gaze: GazeSource | None, cross: bool, marks: int = 0
+        self,
+        refreshes: int,
+        responder: Responder | None,
+        gaze: GazeSource | None,
+        cross: bool,
+        marks: int = 0,
+        continues: bool = False,
     ) -> PhaseShown:
         sprites = self._over(cross, "")
-        phase = Phase(refreshes, sprites=sprites, marks=marks, patch="off" if self.patch == "off" else "dark")
+        phase = Phase(
+            refreshes, sprites=sprites, marks=marks, patch="off" if self.patch == "off" else "dark", continues=continues
+        )
         return show_phase(self.stage, phase, responder, gaze, "skip")
 
     def _patch_mode(self) -> Literal["off", "refresh", "on", "dark"]:

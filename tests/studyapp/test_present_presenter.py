@@ -15,6 +15,7 @@ from protocols.trial import Panel, Question, Trial
 from stimuli.errors import InputError
 from studyapp.display.choose import open_display
 from studyapp.display.virtual_display import Fault, VirtualDisplay, random_faults
+from studyapp.present import uploader
 from studyapp.present.frame_loop import undisturbed
 from studyapp.present.presenter import KeptFlips, Presenter
 from studyapp.present.uploader import admit
@@ -386,3 +387,30 @@ def test_fifteen_participants_of_96_trials_of_8_s_take_seconds_on_the_virtual_di
         presenter.ask(CHOICE, responder, on_onset=responder.after(0.398, "a"))
     assert time.process_time() - started < 12  # 1 s on a quiet machine; the whole of `simulate` has 20 s
     assert sink.rows == 1440 * (120 + 1920 + 1 + 97)
+
+
+def test_refreshes_that_go_by_between_trials_are_not_lost() -> None:
+    display, sink = open_display("offscreen", (64, 48), 240), KeptFlips()
+    presenter = Presenter(display, sink)
+    presenter.play(trial("left", duration_s=0.05), {"left": NumberedClip(240, 12)})
+    until = display.now_ns() + 50_000_000
+    while display.now_ns() < until:
+        pass
+    begun = len(sink.rows())
+    presenter.play(trial("left", duration_s=0.05), {"left": NumberedClip(240, 12)})
+    presenter.close()
+    display.close()
+    rows = sink.rows()
+    assert rows["missed"][begun] == 0
+    assert rows["refresh"][begun] - rows["refresh"][begun - 1] >= 12
+
+
+def test_pixel_buffers_of_a_gpu_bring_the_same_pixels(monkeypatch) -> None:
+    monkeypatch.setattr(uploader, "is_software", lambda gl: False)
+    display, sink = Watched([(160, 30)]), KeptFlips()
+    presenter = Presenter(display, sink)
+    presenter.play(trial("left", duration_s=0.2), {"left": NumberedClip(120, 24, panel=7)}, miss_policy="hold")
+    presenter.close()
+    display.close()
+    assert [pixel[0] for pixel in display.seen[:24]] == [[k, 7, 255 - k] for k in range(24)]
+    assert sink.rows()["source"][:24, 0].tolist() == list(range(24))
