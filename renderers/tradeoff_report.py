@@ -1,0 +1,105 @@
+"""The rows of a tradeoff as a table for people, CSV, JSON and a plot."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from renderers.tradeoff import pareto_front
+
+_COLUMNS = (
+    ("setting", "label", "{}"),
+    ("ms", "ms_per_refresh", "{:.2f}"),
+    ("/vanilla", "ratio_to_vanilla", "{:.2f}"),
+    ("Mrays/s", "rays_per_s", "{:.2f}"),
+    ("primary/s", "primary_per_s", "{:.3g}"),
+    ("RMSE still", "rmse_still", "{:.2f}"),
+    ("tracking", "rmse_tracking", "{:.2f}"),
+    ("FLIP still", "flip_still", "{:.4f}"),
+    ("tracking", "flip_tracking", "{:.4f}"),
+    ("flicker", "flicker", "{:.2f}"),
+)
+_CODES = {"rmse_still", "rmse_tracking", "flicker"}  # shown in display codes, x 255
+_MARKERS = "osD^v<>pPX*hd"
+
+
+def with_ratios(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Rows with ``ratio_to_vanilla``: cost over that of vanilla at the display's rate in the same run, or None."""
+    base = next((row["ms_per_content_frame"] for row in rows if row["label"] == "vanilla"), None)
+    return [{**row, "ratio_to_vanilla": None if base is None else row["ms_per_refresh"] / base} for row in rows]
+
+
+def table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Aligned text; errors x 255; a star marks the Pareto front of cost and error (both eyes)."""
+    front = set(pareto_front(rows))
+    cells = [["", *(title for title, _, _ in _COLUMNS)]]
+    for i, row in enumerate(rows):
+        line = ["*" if i in front else " "]
+        for _, name, form in _COLUMNS:
+            value = row[name]
+            if value is None:
+                line.append("-")
+                continue
+            if name in _CODES:
+                value *= 255
+            if name == "rays_per_s":
+                value /= 1e6
+            line.append(form.format(value))
+        cells.append(line)
+    widths = [max(len(line[k]) for line in cells) for k in range(len(cells[0]))]
+    return "\n".join(
+        "  ".join(
+            cell.ljust(w) if k < 2 else cell.rjust(w) for k, (cell, w) in enumerate(zip(line, widths, strict=True))
+        )
+        for line in cells
+    )
+
+
+def write_csv(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
+    """One line a row; parameters and rays as JSON text."""
+    names = [name for name in rows[0] if name not in ("key", "rmse_by_refresh")] if rows else []
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(names)
+        for row in rows:
+            writer.writerow([json.dumps(row[n]) if isinstance(row[n], dict | list) else row[n] for n in names])
+
+
+def plot(rows_by_scene: Mapping[str, Sequence[Mapping[str, Any]]], path: Path, size_px: tuple[int, int]) -> None:
+    """Error (both eyes, x 255) over cost, a panel a scene; the line is the Pareto front."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    count = len(rows_by_scene)
+    figure = Figure(figsize=(6.4 * count, 5.2), layout="constrained")
+    FigureCanvasAgg(figure)
+    names = sorted({row["technique"] for rows in rows_by_scene.values() for row in rows})
+    for k, (scene, rows) in enumerate(rows_by_scene.items()):
+        axes = figure.add_subplot(1, count, k + 1)
+        for n, name in enumerate(names):
+            own = [row for row in rows if row["technique"] == name]
+            axes.plot(
+                [row["ms_per_refresh"] for row in own],
+                [row["rmse_eyes"] * 255 for row in own],
+                _MARKERS[n % len(_MARKERS)], color=f"C{n % 10}", label=name, alpha=0.85, markersize=6,
+            )  # fmt: skip
+        front = [rows[i] for i in pareto_front(rows)]
+        axes.step(
+            [row["ms_per_refresh"] for row in front],
+            [row["rmse_eyes"] * 255 for row in front],
+            where="post",
+            color="0.4",
+            lw=1,
+        )
+        axes.set_xscale("log")
+        axes.set_xlabel("ms a refresh on this machine (log)")
+        axes.set_ylabel("RMSE of both eyes, display codes")
+        axes.set_title(f"{scene}, {size_px[0]}x{size_px[1]}")
+        axes.set_ylim(bottom=0)
+        axes.grid(alpha=0.3)
+        if k == count - 1:
+            axes.legend(fontsize=8, loc="upper right")
+    figure.savefig(path, dpi=130)

@@ -1,0 +1,136 @@
+"""``studyapp tradeoff``: what each technique's accuracy costs on this machine, and what its speed costs in accuracy."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+from stimuli.errors import InputError, problem
+
+HELP = "speed against accuracy of the techniques on scenes: table, CSV, JSON, plot"
+EXAMPLE = (
+    "studyapp tradeoff --scene toy_car --technique temporally_dense --technique vanilla --technique taa --size 256x256"
+)
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    parser.add_argument(
+        "--scene", action="append", metavar="S", help="a name or a file; repeatable (default: toy_car, bar)"
+    )
+    parser.add_argument("--technique", action="append", metavar="T", help="repeatable (default: all)")
+    parser.add_argument("--budget", default="", metavar="N,N", help="samples a second, as in 100k,400k,1.6M")
+    parser.add_argument("--size", default="256x256", metavar="WxH", help="pixels (default 256x256)")
+    parser.add_argument("--frames", type=int, default=32, metavar="N", help="compared refreshes (default 32)")
+    parser.add_argument("--warm-up", type=int, default=48, metavar="N", help="refreshes before them (default 48)")
+    parser.add_argument("--rate", default="240", metavar="HZ", help="the display's (default 240)")
+    parser.add_argument("--start", default="1", metavar="S", help="scene second of refresh 0 (default 1)")
+    parser.add_argument("--path", default=None, metavar="P", help="camera path: file | still | sway | toycar | FILE")
+    parser.add_argument("--animation", default=None, metavar="NAME", help="of a file with several animations")
+    parser.add_argument(
+        "--trials", type=int, default=4, metavar="N", help="points of each technique's knobs (default 4)"
+    )
+    parser.add_argument("--spp", type=int, default=64, metavar="N", help="samples of the gold standard (default 64)")
+    parser.add_argument("--lighting", default="direct", choices=("direct", "ambient_occlusion", "probes"))
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument(
+        "--out", type=Path, default=Path("tradeoff"), metavar="DIR", help="rows, table, plot (default: tradeoff)"
+    )
+    parser.add_argument("--fresh", action="store_true", help="measure anew what DIR already holds")
+    parser.add_argument("--json", action="store_true", help="print JSON instead of the table")
+
+
+def number(text: str, where: str) -> float:
+    """'400k', '1.6M', '25000' -> samples a second."""
+    factor = {"k": 1e3, "K": 1e3, "M": 1e6}.get(text[-1:], 1.0)
+    try:
+        value = float(text.rstrip("kKM")) * factor
+    except ValueError as error:
+        raise InputError(problem(where, "number", repr(text), "as in 400k or 1.6M")) from error
+    if not value > 0:
+        raise InputError(problem(where, "number", text, "more than 0"))
+    return value
+
+
+def size(text: str) -> tuple[int, int]:
+    """'256x144' -> (256, 144)."""
+    width, _, height = text.partition("x")
+    if not (width.isdigit() and height.isdigit() and int(width) > 0 and int(height) > 0):
+        raise InputError(problem("--size", "picture size", repr(text), "WxH, as in 256x256"))
+    return int(width), int(height)
+
+
+def rational(text: str, where: str) -> Fraction:
+    """An exact number."""
+    try:
+        return Fraction(text)
+    except (ValueError, ZeroDivisionError) as error:
+        raise InputError(problem(where, "number", repr(text), "as in 240 or 60000/1001")) from error
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure what is not yet there, write everything, print the table."""
+    from renderers import tradeoff, tradeoff_report
+
+    budgets = [number(part, "--budget") for part in args.budget.split(",") if part]
+    names = tradeoff.techniques_for(args.technique)
+    conditions = tradeoff.Conditions(
+        size_px=size(args.size), rate_hz=rational(args.rate, "--rate"), frames=args.frames, warm_up_frames=args.warm_up,
+        start_s=rational(args.start, "--start"), seed=args.seed, reference_spp=args.spp, lighting=args.lighting,
+    )  # fmt: skip
+    if (
+        conditions.frames < 1
+        or conditions.warm_up_frames < 0
+        or conditions.rate_hz <= 0
+        or conditions.reference_spp < 1
+    ):
+        raise InputError(problem("tradeoff", "frames, warm-up, rate, spp", "one below its least", "1, 0, above 0, 1"))
+    settings = tradeoff.settings_of(names, conditions.size_px, conditions.rate_hz, budgets, args.trials, args.seed)
+    scenes = args.scene or ["toy_car", "bar"]
+    by_scene = {Path(name).stem: _scene_rows(name, args, settings, conditions) for name in scenes}
+    args.out.mkdir(parents=True, exist_ok=True)
+    (args.out / "tradeoff.json").write_text(json.dumps(by_scene, indent=1))
+    tradeoff_report.write_csv(
+        [{"scene": s, **row} for s, rows in by_scene.items() for row in rows], args.out / "tradeoff.csv"
+    )
+    tradeoff_report.plot(by_scene, args.out / "tradeoff.png", conditions.size_px)
+    if args.json:
+        print(json.dumps(by_scene, indent=1))
+    else:
+        for name, rows in by_scene.items():
+            print(f"\n{name}, {args.size} at {args.rate} Hz, errors x 255 against {args.spp} spp (*: on the front)")
+            print(tradeoff_report.table(rows))
+        print(f"\nwritten: {args.out / 'tradeoff.csv'}, .json, .png")
+    return 0
+
+
+def _scene_rows(name: str, args: argparse.Namespace, settings: list[Any], conditions: Any) -> list[dict[str, Any]]:
+    """The rows of one scene, from DIR where they are there, measured where not."""
+    from tqdm import tqdm
+
+    from renderers import tradeoff, tradeoff_report
+    from renderers.engine import Engine
+    from stimuli import load_scene
+    from stimuli.camera_path import camera_path
+    from stimuli.clip_request import ENGINE_VERSION
+
+    scene = load_scene(name, animation=args.animation)
+    for note in scene.notes:
+        print(f"{scene.name}: {note}")
+    default = "file" if scene.duration_s > 0 else "sway"
+    camera = camera_path(scene, args.path or default)
+    file = tradeoff.RowFile(args.out / "rows.jsonl")
+    keys = [tradeoff.RowFile.key(scene, camera, setting, conditions, ENGINE_VERSION) for setting in settings]
+    missing = [k for k, key in enumerate(keys) if args.fresh or key not in file.rows]
+    if missing:
+        with tqdm(total=conditions.frames + len(missing), desc=Path(name).stem, disable=None) as bar:
+            engine = Engine(scene, lighting=args.lighting)
+            gold = tradeoff.gold_standard(engine, camera, conditions, bar.update)
+            for k in missing:
+                bar.set_postfix_str(settings[k].label)
+                file.add(keys[k], tradeoff.measure_setting(engine, camera, settings[k], gold, conditions))
+                bar.update(1)
+    return tradeoff_report.with_ratios([file.rows[key] for key in keys])
