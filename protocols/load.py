@@ -13,7 +13,7 @@ from typing import Annotated, Any, Union, get_args, get_origin
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from protocols.references import gaze_problems, reference_problems
+from protocols.references import gaze_problems, reference_problems, size_problems
 from protocols.study import Study
 from protocols.yaml_source import Mark, Node, read_yaml
 from stimuli.errors import InputError, problem
@@ -48,8 +48,10 @@ def read_study(path: str | Path) -> tuple[Study, str]:
     if study is not None:
         for loc, what, got, wanted in reference_problems(study, written):
             _note(problems, root.find(loc), what, got, wanted)
-        for loc, what, got, wanted in gaze_problems(study) if not problems else ():
-            _note(problems, root.find(loc), what, got, wanted)
+        # What forms cells comes after what bounds their number, and only where every name leads somewhere.
+        for check in (size_problems, gaze_problems):
+            for loc, what, got, wanted in check(study) if not problems else ():
+                _note(problems, root.find(loc), what, got, wanted)
     if problems:
         raise InputError(*[problems[key] for key in sorted(problems)])
     assert study is not None

@@ -7,6 +7,7 @@ import json
 from collections.abc import Collection, Iterator, Mapping
 from fractions import Fraction
 from itertools import product
+from math import comb
 from typing import Any
 
 from pydantic import ValidationError
@@ -16,6 +17,7 @@ from protocols.cells import block_cells
 from protocols.study import Study
 from renderers.catalogue import CATALOGUE
 
+MAX_TRIALS = 3000
 Loc = tuple[str | int, ...]
 Problem = tuple[Loc, str, str, str]
 FIXED_PATHS = frozenset({"file", "still", "sway", "toycar", "interactive"})
@@ -222,6 +224,35 @@ def _compare(study: Study, names: _Declared, block: Block, loc: Loc, what: str) 
                     f"no gaze-contingent technique side by side ({technique} follows one gaze): two_interval or likert"
                 )
                 yield (*loc, "compare", "of"), f"{what}.compare.of", name, wanted
+
+
+def size_of_block(study: Study, block: Block) -> int:
+    """How many trials a block has for one participant, by arithmetic, before anything is formed."""
+    if block.kind in WORD_KINDS or block.adaptive is not None:
+        return 1
+    practice = sum(t.repetitions for t in block.practice) if isinstance(block.practice, list) else block.practice
+    extra = practice + (block.catch.trials if block.catch else 0)
+    if block.trials is not None:
+        return sum(trial.repetitions for trial in block.trials) + extra
+    compare, cells = block.compare, 1
+    spread = compare.spread_over if compare is not None else []
+    for name, levels in block.factors.items():
+        count = len(study.expand(list(levels))) if name == "condition" else len(levels)
+        cells *= 1 if name in spread else count
+    if compare is not None:
+        of = len(study.expand(compare.of))
+        cells *= len(compare.sets) if isinstance(compare.sets, list) else comb(of, compare.alternatives)
+    return cells * block.repetitions + extra
+
+
+def size_problems(study: Study) -> Iterator[Problem]:
+    """Sessions that nobody could sit through (and that no plan should try to hold)."""
+    sizes = [size_of_block(study, block) for block in study.blocks]
+    for index, size in enumerate(sizes):
+        if size > MAX_TRIALS:
+            yield ("blocks", index), f"blocks[{index}]", f"{size} trials", f"at most {MAX_TRIALS} for a participant"
+    if sum(sizes) > MAX_TRIALS and max(sizes) <= MAX_TRIALS:
+        yield ("blocks",), "blocks", f"{sum(sizes)} trials", f"at most {MAX_TRIALS} for a participant"
 
 
 def gaze_problems(study: Study) -> Iterator[Problem]:

@@ -10,6 +10,8 @@ import numpy as np
 RESTARTS = 30
 SWEEPS = 40
 TRIES = 40
+BUDGET = 12_000  # swaps tried in all: about a second
+GREEDY_UP_TO = 300
 
 
 def violations(keys: Mapping[str, Sequence[str]], longest: Mapping[str, int], distance: Mapping[str, int]) -> list[int]:
@@ -47,14 +49,17 @@ def constrained_order(
     if any(_impossible(used[name], most) for name, most in longest.items()):
         return None
     reach = max([most + 1 for most in longest.values()] + list(distance.values()), default=1)
+    budget = [BUDGET]
     for start in range(RESTARTS):
         order = [int(i) for i in rng.permutation(n)]
         if not used:
             return order
-        if start >= RESTARTS // 3:
+        if start >= RESTARTS // 3 and n <= GREEDY_UP_TO:
             order = _greedy(used, rng, longest, distance, n)
-        if _repair(order, used, rng, longest, distance, reach):
+        if _repair(order, used, rng, longest, distance, reach, budget):
             return order
+        if budget[0] <= 0:
+            return None
     return None
 
 
@@ -72,8 +77,9 @@ def _repair(
     longest: Mapping[str, int],
     distance: Mapping[str, int],
     reach: int,
+    budget: list[int],
 ) -> bool:
-    """Swap rows in place until nothing is violated; False where it gets stuck."""
+    """Swap rows in place until nothing is violated; False where it gets stuck or the budget of swaps is spent."""
     n = len(order)
 
     def around(places: tuple[int, int]) -> int:
@@ -96,6 +102,9 @@ def _repair(
             return True
         for place in bad:
             for other in rng.integers(0, n, TRIES):
+                budget[0] -= 1
+                if budget[0] <= 0:
+                    return False
                 before = around((place, int(other)))
                 order[place], order[other] = order[other], order[place]
                 if around((place, int(other))) < before:
