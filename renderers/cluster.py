@@ -14,13 +14,12 @@ from distributed import Client, KilledWorker, as_completed, get_worker
 from distributed.comm.core import CommClosedError
 
 from renderers.render_unit import do_unit, renderer_class
-from renderers.worker_pool import EXPECTED_ERRORS, Event, Task
+from renderers.worker_pool import EXPECTED_ERRORS, ClusterLost, Event, Task
 from stimuli.clip import ClipStore
 from stimuli.errors import InputError, problem
 
-
-class ClusterLost(RuntimeError):
-    """The cluster went away; what was made is kept, and the same command goes on."""
+WAIT_FOR_WORKERS_S = 60
+"""A batch system may take its time to start the first worker."""
 
 
 def do_task(root: str, task: Task, renderer: str) -> str:
@@ -43,9 +42,12 @@ def _sees(path: str) -> bool:
 
 def _check_workers(client: Client, store: ClipStore, address: str) -> None:
     """Every worker has one thread and sees this store; InputError otherwise."""
+    try:
+        client.wait_for_workers(1, timeout=WAIT_FOR_WORKERS_S)
+    except TimeoutError as error:
+        got = f"no workers within {WAIT_FOR_WORKERS_S} s"
+        raise InputError(problem(address, "cluster", got, "dask worker ADDRESS --nthreads 1")) from error
     workers = client.scheduler_info(n_workers=-1)["workers"]
-    if not workers:
-        raise InputError(problem(address, "cluster", "no workers", "dask worker ADDRESS --nthreads 1"))
     many = [name for name, about in workers.items() if about["nthreads"] != 1]
     if many:
         got = f"{workers[many[0]]['nthreads']} threads in {many[0]}"
@@ -69,7 +71,7 @@ def run_cluster(store: ClipStore, tasks: Sequence[Task], renderer: str, address:
     Raises InputError where the cluster cannot be used, ClusterLost where it goes away.
     """
     try:
-        client = Client(address, timeout="10s")
+        client = Client(address, timeout="5s")
     except (OSError, ValueError) as error:
         raise InputError(
             problem(address, "cluster", f"no answer ({type(error).__name__})", "a Dask scheduler")

@@ -30,6 +30,10 @@ EXPECTED_ERRORS = (
 """What a failing technique may raise: the unit is then named, and the others go on."""
 
 
+class ClusterLost(RuntimeError):
+    """A cluster went away; what was made is kept, and the same command goes on."""
+
+
 @dataclass(frozen=True)
 class Task:
     """One unit of one clip; ``samples``: its primary rays, for the order of work and the progress bar."""

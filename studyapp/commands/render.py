@@ -42,8 +42,12 @@ def run(args: argparse.Namespace) -> int:
     if args.estimate:
         return 0
     from renderers.produce import produce  # the ray engine is loaded only now
+    from renderers.worker_pool import ClusterLost
 
-    outcome = produce(clips.jobs, store, args.workers, args.cluster)
+    try:
+        outcome = produce(clips.jobs, store, args.workers, args.cluster)
+    except ClusterLost as error:
+        raise JobFailed(str(error)) from error
     print(f"made {len(outcome.made)}, made again {len(outcome.remade)} damaged, {len(outcome.kept)} were there")
     for unit in outcome.poisoned:
         print(f"failed: {unit.label}: {unit.reason}\n  reproduce: {unit.command}")

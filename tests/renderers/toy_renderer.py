@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -66,3 +67,10 @@ class DiesOnce(Toy):
         if k in (1, 4) and not mark.exists():
             mark.touch()
             os.kill(os.getpid(), signal.SIGKILL)
+
+
+class Slow(Toy):
+    """50 ms a frame, so that there is time to kill somebody."""
+
+    def before(self, job: ClipJob, k: int) -> None:
+        time.sleep(0.05)
