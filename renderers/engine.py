@@ -237,7 +237,7 @@ class Engine:
         # Primary hit.
         hit, surface = self._visible_hit(state, ray, time_s, active, coherent=True)
         seen = active & hit.valid
-        shaded = self._shade(state, surface, hit, ray, time_s, seen, rng, light_samples)
+        shaded = self._shade(state, surface, hit, ray, time_s, seen, rng, light_samples, coherent=True)
         own = shaded.surface + shaded.albedo * shaded.light
         extra = dr.select(seen, 0, state.background)
         counts = {"shadow": shaded.shadow, "ambient_occlusion": shaded.ambient_occlusion}
@@ -326,6 +326,7 @@ class Engine:
         active: Any,
         rng: Any,
         light_samples: int,
+        coherent: bool,
     ) -> _Shaded:
         """Light leaving one hit towards the ray's origin, and the weights of the rays that go on from it."""
         needs = self.requirements
@@ -349,7 +350,7 @@ class Engine:
             lit = active & ~look.unlit if needs.unlit else active
             got = direct_light(
                 self.tracer, state.arrays, state.poses, state.lights, self._light_groups, self._lights_move,
-                surface, look, view, time_s, lit, rng, light_samples,
+                surface, look, view, time_s, lit, rng, light_samples, coherent,
             )  # fmt: skip
             shadow, light = got.shadow_rays, got.noisy
             own = own + look.diffuse * got.even + got.specular
@@ -468,7 +469,7 @@ class Engine:
             hit, surface = self._visible_hit(state, here, time_s, on, coherent=False)
             seen = on & hit.valid
             seed = None if rng is None else combined(rng, s["steps"] + 7919)
-            shaded = self._shade(state, surface, hit, here, time_s, seen, seed, light_samples)
+            shaded = self._shade(state, surface, hit, here, time_s, seen, seed, light_samples, coherent=False)
             light = dr.select(seen, shaded.surface + shaded.albedo * shaded.light, state.background)
             s = dict(s)
             # The first thing that the first mirror shows, for reflected motion vectors.

@@ -92,6 +92,7 @@ def direct_light(
     active: Any,
     rng: Any,
     light_samples: int,
+    coherent: bool,
 ) -> Direct:
     """Light from all lights. ``view``: unit vector to the ray's origin. ``rng``: UInt32 seed a lane, or None for the even
     grid (cell centres) of ``light_samples`` = k * k places on each area light; with a seed, one random place a cell."""
@@ -120,7 +121,7 @@ def direct_light(
             got = incident(group.kind, light, surface.point, x, y)
             nl = dr.dot(normal, got.to_light)
             lit = active & (nl > 0) & (dr.dot(geometric, got.to_light) > 0) & (dr.max(got.irradiance) > 0)
-            blocked = tracer.occluded(arrays, poses, origin, got.to_light, time_s, lit, got.distance)
+            blocked = tracer.occluded(arrays, poses, origin, got.to_light, time_s, lit, got.distance, coherent)
             energy = dr.select(lit & ~blocked, got.irradiance * (1 / samples), 0)
             rays = rays + dr.select(lit, mi.UInt32(1), mi.UInt32(0))
             left = mi.Color3f(1)

@@ -189,16 +189,26 @@ class Tracer:
             best = dr.select(hit, RawHit(t, face + body.face_base, u, v, mi.UInt32(body.mover)), best)
         return best
 
-    def occluded(self, arrays: SceneArrays, poses: Poses, o: Any, d: Any, time_s: Any, active: Any, tmax: Any) -> Any:
-        """Whether anything that casts shadows lies on ``o + t d``, 0 < t < tmax."""
+    def occluded(
+        self,
+        arrays: SceneArrays,
+        poses: Poses,
+        o: Any,
+        d: Any,
+        time_s: Any,
+        active: Any,
+        tmax: Any,
+        coherent: bool = False,
+    ) -> Any:
+        """Whether anything that casts shadows lies on ``o + t d``, 0 < t < tmax. ``coherent``: lanes go the same way."""
         active = mi.Bool(active)
         blocked = mi.Bool(False)
         if arrays.opaque is not None:
-            blocked = arrays.opaque.ray_test(mi.Ray3f(o, d, tmax, 0.0, []), coherent=False, active=active)
+            blocked = arrays.opaque.ray_test(mi.Ray3f(o, d, tmax, 0.0, []), coherent=coherent, active=active)
         if all(body.hidden for body in self.bodies):
             return blocked
         if self.uses_proxy:
-            return self._occluded_by_proxy(arrays, poses, o, d, time_s, active & ~blocked, tmax, blocked)
+            return self._occluded_by_proxy(arrays, poses, o, d, time_s, active & ~blocked, tmax, blocked, coherent)
         for b, body in enumerate(self.bodies):
             if not body.hidden:
                 blocked |= self._ask_any(arrays, poses, b, body.mover, o, d, time_s, tmax, active & ~blocked)
@@ -249,7 +259,16 @@ class Tracer:
         return ok, walked + found.t, body, ask, dr.select(ask, asked | bit, asked)
 
     def _nearest_by_proxy(
-        self, arrays: SceneArrays, poses: Poses, o: Any, d: Any, time_s: Any, active: Any, limit: Any, best: RawHit, coherent: bool
+        self,
+        arrays: SceneArrays,
+        poses: Poses,
+        o: Any,
+        d: Any,
+        time_s: Any,
+        active: Any,
+        limit: Any,
+        best: RawHit,
+        coherent: bool,
     ) -> RawHit:
         def asker(b: int) -> Any:
             scene = arrays.bodies[b]
@@ -280,21 +299,30 @@ class Tracer:
         return dr.while_loop(start, lambda walked, limit, best, asked, on: on, step, label="movers")[2]
 
     def _occluded_by_proxy(
-        self, arrays: SceneArrays, poses: Poses, o: Any, d: Any, time_s: Any, active: Any, tmax: Any, blocked: Any
+        self,
+        arrays: SceneArrays,
+        poses: Poses,
+        o: Any,
+        d: Any,
+        time_s: Any,
+        active: Any,
+        tmax: Any,
+        blocked: Any,
+        coherent: bool,
     ) -> Any:
         def asker(b: int) -> Any:
             if self.bodies[b].hidden:
                 return lambda own_o, own_d, tmax, active: mi.Bool(False)
             scene = arrays.bodies[b]
             return lambda own_o, own_d, tmax, active: (
-                active & scene.ray_test(mi.Ray3f(own_o, own_d, tmax, 0.0, []), coherent=False, active=active)
+                active & scene.ray_test(mi.Ray3f(own_o, own_d, tmax, 0.0, []), coherent=coherent, active=active)
             )
 
         askers = [asker(b) for b in range(len(self.bodies))]
         limit = mi.Float(tmax)
 
         def step(walked: Any, blocked: Any, asked: Any, on: Any) -> tuple[Any, ...]:
-            ok, at, body, ask, asked = self._next_box(arrays, o, d, walked, limit, asked, on, False)
+            ok, at, body, ask, asked = self._next_box(arrays, o, d, walked, limit, asked, on, coherent)
             mover = dr.gather(mi.UInt32, arrays.body_mover, body, ask)
             own_o, own_d, ask = self._to_own(poses, mover, o, d, time_s, ask)
             hit = dr.switch(body, askers, own_o, own_d, limit, active=ask)
