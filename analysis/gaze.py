@@ -78,7 +78,7 @@ def _rms_step_dva(samples: np.ndarray) -> float:
     return float(np.sqrt(np.mean(step**2))) if step.size else float("nan")
 
 
-def _validated_dva(session: Session) -> float:
+def validated_accuracy_dva(session: Session) -> float:
     """Mean accuracy of the session's gaze validations, where the events hold them; else nan."""
     found = [
         event["payload"].get("accuracy_dva")
@@ -135,7 +135,7 @@ def _person_row(session: Session, device: str, parts: list[tuple[np.ndarray, np.
     steps = np.array([step for _, _, step in parts])
     steps = steps[np.isfinite(steps)]
     precision = float(np.sqrt(np.mean(steps**2))) if steps.size else float("nan")
-    validated = _validated_dva(session)
+    validated = validated_accuracy_dva(session)
     return (session.participant, device, samples, rate_hz, valid / samples, error, tail, precision, validated)
 
 
@@ -147,7 +147,7 @@ def _heat_maps(points: dict[str, np.ndarray], bins: int = 48) -> tuple[HeatMap, 
         return ()
     reach = float(max(np.quantile(np.abs(everything), 0.995), 1.0))
     edges = np.linspace(-reach, reach, bins + 1)
-    named = {"all trials": everything, **(points if len(points) > 1 else {})}
+    named = {"all trials": everything, **(dict(sorted(points.items())) if len(points) > 1 else {})}
     maps = []
     for name, xy in named.items():
         counts = np.histogram2d(xy[:, 1], xy[:, 0], bins=(edges, edges))[0]

@@ -23,7 +23,7 @@ def latex_text(text: str) -> str:
 
 
 def to_csv(block: Mapping[str, Any], simulated: bool) -> str:
-    """Every column of the block, unrounded; with a column ``observer_kind`` saying simulated where no person answered."""
+    """Every column of the block, unrounded; and ``observer_kind`` where no person answered."""
     names = list(dict.fromkeys(name for row in block["rows"] for name in row))
     if not names:
         names = [column["key"] for column in block["columns"]]

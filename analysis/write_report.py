@@ -38,6 +38,11 @@ def write_report(
         raise InputError(problem("--report", "folder", report.parent, "a folder that exists"))
     with tqdm(total=5, desc="analyse", disable=not show_progress, leave=False) as bar:
         results = analyse(data, blind=blind, progress=lambda step: _step(bar, step))
+        locked = json.dumps(results["exclusion_lock"], indent=1) + "\n"
+        if blind and lock_path.exists() and lock_path.read_text(encoding="utf-8") != locked:
+            raise InputError(
+                problem(lock_path, "locked exclusions", "other exclusions now", "the same, or no lock file")
+            )
         if not blind and lock_path.exists():
             _say_lock(results, lock_path)
         _step(bar, "figures")
@@ -52,11 +57,6 @@ def write_report(
 
         written += write_tables(results, Path(tables))
     if blind:
-        locked = json.dumps(results["exclusion_lock"], indent=1) + "\n"
-        if lock_path.exists() and lock_path.read_text(encoding="utf-8") != locked:
-            raise InputError(
-                problem(lock_path, "locked exclusions", "other exclusions now", "the same, or no lock file")
-            )
         written.append(_write(lock_path, locked))
     return written
 
