@@ -6,13 +6,13 @@ import contextlib
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from datetime import date
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 from protocols.design import plan
 from protocols.load import library_path, read_study
-from protocols.participants import Inclusion
 from protocols.study import Study
 from protocols.trial import Trial
 from renderers.technique import ViewGeometry
@@ -23,6 +23,8 @@ from studyapp.display.certificate import Certificate, certify, require_lock
 from studyapp.display.choose import open_display
 from studyapp.display.virtual_display import VirtualDisplay
 from studyapp.gaze.angles import ScreenGeometry
+from studyapp.gaze.before_session import check_gaze
+from studyapp.inclusion import answers_about_self
 from studyapp.lab_file import Lab, find_lab, photometry_age_warning
 from studyapp.manifest_source import Manifests
 from studyapp.present.presenter import Presenter
@@ -36,7 +38,6 @@ from studyapp.simulated_respondent import SimulatedRespondent
 from studyapp.stored_sources import StoredSources
 from studyapp.trial import Person, Respondent, Rules, TrialDone, TrialRunner
 
-INCLUSION_OVERRIDE = "inclusion"
 STREAM_RING_FLIP_S = 600.0
 
 
@@ -78,7 +79,9 @@ def run_session(request: RunRequest) -> RunDone:
     if before is not None and before.header["observer_kind"] != ("simulated" if request.simulated else "person"):
         wanted = f"the {before.header['observer_kind']} observer it was begun with"
         raise InputError(problem(before.path, "observer", "simulated" if request.simulated else "person", wanted))
-    about = _about_self(study, request) if before is None else {}
+    about = {}
+    if before is None:
+        about = answers_about_self(study, request.simulated, request.about, request.overrides)
     _writable(request.data)
     kind = request.display or lab.display.kind
     sources, clip_rows = _sources(request, study, kind)
@@ -100,18 +103,45 @@ def run_session(request: RunRequest) -> RunDone:
             if request.simulated
             else lab_devices(display, lab, geometry)
         )
+        look = devices.emulators[1].tell if request.simulated else None
+        measured, needed = check_gaze(
+            study.gaze, devices.gaze, display, geometry, request.overrides,
+            None if look is None else lambda x, y: look("look", x, y),
+        )  # fmt: skip
+        used += needed
+        if isinstance(sources, StoredSources):
+            sources.look_with(devices.gaze)
+        prepared = Prepared(
+            study, text, trials, lab, before, about, display, certificate, tuple(used), measured, sources, clip_rows,
+            devices,
+        )  # fmt: skip
         try:
-            return _run(request, study, text, trials, lab, before, about, display, certificate, used, sources,
-                        clip_rows, devices)  # fmt: skip
+            return _run(request, prepared)
         except (LogFailed, SessionStopped) as error:
             raise JobFailed(str(error)) from error
 
 
-def _run(
-    request: RunRequest, study: Study, text: str, trials: tuple[Trial, ...], lab: Lab, before: Interrupted | None,
-    about: Mapping[str, str], display: Display, certificate: Certificate, used: list[dict[str, str]],
-    sources: Sources, clip_rows: Callable[[], list[tuple[str, str, str]]], devices: SessionDevices,
-) -> RunDone:  # fmt: skip
+@dataclass(frozen=True)
+class Prepared:
+    """All parts of a session, checked and ready."""
+
+    study: Study
+    text: str
+    trials: tuple[Trial, ...]
+    lab: Lab
+    before: Interrupted | None
+    about: Mapping[str, str]
+    display: Display
+    certificate: Certificate
+    overrides: tuple[dict[str, str], ...]
+    gaze_validation: dict[str, Any] | None
+    sources: Sources
+    clip_rows: Callable[[], list[tuple[str, str, str]]]
+    devices: SessionDevices
+
+
+def _run(request: RunRequest, ready: Prepared) -> RunDone:
+    study, before, devices, trials = ready.study, ready.before, ready.devices, ready.trials
     kind = "simulated" if request.simulated else "person"
     seed = study.seed if request.seed is None else request.seed
     progress = Progress()
@@ -119,7 +149,7 @@ def _run(
         path, run = next_session_path(request.data, study.study, request.participant)
     else:
         mend(before, kind, clock.now_ns())
-        again = interrupted(before.path, sha256_text(text))
+        again = interrupted(before.path, sha256_text(ready.text))
         path, run, progress, trials = before.path, int(before.header["run"]), again.progress, before.plan
         seed = int(before.header["seed"])
     log = DurableLog(path, devices.streams, flip_seconds=STREAM_RING_FLIP_S)
@@ -129,41 +159,55 @@ def _run(
             respondent = _simulated(study, request.participant, seed, devices)
         if before is None:
             header = session_header(
-                study, text, request.participant, run, trials, seed, observer_kind=kind,
-                observer=f"{respondent.name} through {devices.answers.name}", certificate=certificate, lab=lab,
-                overrides=used,
+                study, ready.text, request.participant, run, trials, seed, observer_kind=kind,
+                observer=f"{respondent.name} through {devices.answers.name}", certificate=ready.certificate,
+                lab=ready.lab, overrides=ready.overrides,
             )  # fmt: skip
             log.header(header)
-            for name, value in about.items():
-                log.about_self(name, value)
-            _warn_of_photometry(log, study, lab)
-            for note in sources.notes if isinstance(sources, StoredSources) else ():
-                log.note(note)
+        _first_words(log, ready)
         if request.pids is not None:
             request.pids.write_text(json.dumps({**devices.pids(), "writer": log.pid}))
         counted = {"answers": 0}
 
         def on_trial(done: TrialDone) -> None:
             counted["answers"] += len(done.responses)
-            if done.row.kind == "consent" and done.status == "ok":
-                log.about_self("consent", json.dumps(_consent(study, trials[done.row.planned], text)))
 
-        runner = TrialRunner(
-            Presenter(
-                display, log, geometry=_view_geometry(study, lab), abort_keys=frozenset({"escape"}),
-            ),
-            devices.answers, respondent, Rules(study.timing.miss_policy, study.timing.max_missed),
-            # The virtual display leaps over refreshes: there is nothing to look at in between.
-            None if isinstance(display, VirtualDisplay) else devices.gaze,
-        )  # fmt: skip
-        session = Session(log, runner, sources, devices.reconnect, study.timing.requeue, on_trial)
+        def before_commit(trial: Trial, number: int) -> None:
+            if trial.kind == "consent":
+                log.about_self("consent", json.dumps(_consent(study, trial, ready.text)))
+            if isinstance(ready.sources, StoredSources) and trial.panels:
+                for payload, frames in ready.sources.live_logs(number):
+                    log.event("live", "frames", payload, frames)
+
+        presenter = Presenter(
+            ready.display, log, geometry=_view_geometry(study, ready.lab), abort_keys=frozenset({"escape"})
+        )
+        rules = Rules(study.timing.miss_policy, study.timing.max_missed)
+        # The virtual display leaps over refreshes: there is nothing to look at in between.
+        gaze = None if isinstance(ready.display, VirtualDisplay) else devices.gaze
+        runner = TrialRunner(presenter, devices.answers, respondent, rules, gaze)
+        session = Session(log, runner, ready.sources, devices.reconnect, study.timing.requeue, on_trial, before_commit)
         shown = session.run(trials, progress)
-        for row in clip_rows():
+        for row in ready.clip_rows():
             log.clip(*row)
         statistics = finish(log)
         return RunDone(path, shown, counted["answers"], statistics.lost)
     finally:
         log.close()
+
+
+def _first_words(log: SessionLog, ready: Prepared) -> None:
+    """What goes into the file before trial 1, or before the first trial after an interruption."""
+    for name, value in ready.about.items():
+        log.about_self(name, value)
+    if ready.before is not None:
+        again = {"certificate": ready.certificate.as_dict(), "overrides": list(ready.overrides)}
+        log.event("session", "resumed", json.dumps(again))
+    if ready.gaze_validation is not None:
+        log.event("eyes", "validation", json.dumps(ready.gaze_validation))
+    _warn_of_photometry(log, ready.study, ready.lab)
+    for note in ready.sources.notes if isinstance(ready.sources, StoredSources) else ():
+        log.note(note)
 
 
 def _simulated(study: Study, participant: int, seed: int, devices: SessionDevices) -> SimulatedRespondent:
@@ -234,53 +278,8 @@ def _consent(study: Study, trial: Trial, text: str) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _about_self(study: Study, request: RunRequest) -> dict[str, str]:
-    """Answers to the inclusion questions, JSON; InputError where a person's are missing or miss the bound."""
-    asked = study.participants.inclusion
-    if request.simulated:
-        return {inclusion.name: json.dumps("simulated: meets the bound") for inclusion in asked}
-    problems, out = [], {}
-    unknown = sorted(set(request.about) - {inclusion.name for inclusion in asked})
-    for name in unknown:
-        wanted = " | ".join(inclusion.name for inclusion in asked) or "none: the protocol asks nothing"
-        problems.append(problem("--about", "question", name, wanted))
-    for inclusion in asked:
-        given = request.about.get(inclusion.name)
-        if given is None:
-            problems.append(problem("--about", inclusion.name, "no answer", f"an answer to: {inclusion.text}"))
-            continue
-        value, why = _meets(inclusion, given)
-        out[inclusion.name] = json.dumps(value)
-        if why is not None and not request.overrides.get(INCLUSION_OVERRIDE):
-            problems.append(problem("--about", inclusion.name, given, f"{why} (or --override inclusion=REASON)"))
-    if problems:
-        raise InputError(*problems)
-    return out
-
-
-def _meets(inclusion: Inclusion, given: str) -> tuple[object, str | None]:
-    """(value, None), or (value, what was wanted) where the bound is missed."""
-    if inclusion.kind == "number":
-        try:
-            number = float(given)
-        except ValueError:
-            return given, "a number"
-        low = -float("inf") if inclusion.at_least is None else inclusion.at_least
-        high = float("inf") if inclusion.at_most is None else inclusion.at_most
-        return number, None if low <= number <= high else f"a number from {low:g} to {high:g}"
-    if inclusion.kind == "yes_no":
-        if given not in ("yes", "no"):
-            return given, "yes | no"
-        fits = inclusion.equals is None or (given == "yes") == inclusion.equals
-        return given, None if fits else ("yes" if inclusion.equals else "no")
-    wanted = inclusion.one_of if inclusion.one_of is not None else inclusion.options
-    return given, None if given in wanted else " | ".join(wanted)
-
-
 def _warn_of_photometry(log: SessionLog, study: Study, lab: Lab) -> None:
     today = clock.wall_clock_utc()[:10]
-    from datetime import date
-
     limit = lab.photometry.max_age_days if lab.photometry is not None else study.timing.photometry_max_age_days
     warning = photometry_age_warning(lab.photometry_record(), limit, date.fromisoformat(today))
     if warning is not None:

@@ -41,7 +41,8 @@ class Progress:
 @dataclass
 class Session:
     """One run of a plan. ``reconnect`` waits for lost devices and says what is still missing ([]: go on);
-    ``requeue``: trials whose timing failed are shown again at the block's end."""
+    ``requeue``: trials whose timing failed are shown again at the block's end; ``before_commit``: may add events that
+    are to be durable together with the trial; ``on_trial``: told of each durable trial."""
 
     log: SessionLog
     runner: TrialRunner
@@ -49,6 +50,7 @@ class Session:
     reconnect: Callable[[], list[str]] = field(default=lambda: [])
     requeue: bool = True
     on_trial: Callable[[TrialDone], None] | None = None
+    before_commit: Callable[[Trial, int], None] | None = None
 
     def run(self, plan: Sequence[Trial], progress: Progress | None = None) -> int:
         """Run what is left of ``plan``; returns the number of presentations. Raises SessionStopped and LogFailed."""
@@ -74,6 +76,8 @@ class Session:
         self.log.begin_trial(number)
         sources = self.sources(trial) if trial.panels else {}
         done = self.runner.run(trial, sources, number, attempt)
+        if self.before_commit is not None:
+            self.before_commit(trial, number)
         # Nothing goes on before the writer has it on the disk.
         self.log.commit_trial(done.row, done.responses)
         if self.on_trial is not None:

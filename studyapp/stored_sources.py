@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from protocols.load import library_path
 from protocols.study import Study
 from protocols.trial import Trial
 from stimuli.clip import ClipStore
@@ -20,7 +22,11 @@ from studyapp.clips import (
     store_problems,
     with_clips,
 )  # fmt: skip
-from studyapp.seams import FrameSource
+from studyapp.seams import FrameSource, GazeSource
+
+if TYPE_CHECKING:  # the ray engine is loaded only where a panel is live
+    from studyapp.live_sources import LiveSources
+    from studyapp.present.live import LiveSource
 
 LUMINANCE_OVERRIDE = "luminance"
 
@@ -35,6 +41,8 @@ class StoredSources:
         self._store = ClipStore(store_directory(protocol, None if given is None else str(given)))
         self._clips: StudyClips = resolve_clips(study, protocol, self._store)
         self._used: dict[str, None] = {}
+        self._live: LiveSources | None = None
+        self._shown: dict[str, LiveSource] = {}
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -69,7 +77,33 @@ class StoredSources:
         for panel in trial.panels:
             if panel.clip:
                 self._used[panel.clip] = None
-        return sources_for(trial, self._store)
+        frames: dict[str, FrameSource] = dict(sources_for(trial, self._store))
+        self._shown = {}
+        for panel in trial.panels:
+            if panel.live:
+                self._shown[panel.slot] = frames[panel.slot] = self._rendered(trial, panel.slot)
+        return frames
+
+    def look_with(self, gaze: GazeSource | None) -> None:
+        """Live panels follow this gaze (None: the panel's centre)."""
+        from studyapp.live_sources import LiveSources
+
+        self._live = LiveSources(self._study, library_path(self._protocol).parent, self._store, gaze)
+
+    def _rendered(self, trial: Trial, slot: str) -> LiveSource:
+        if self._live is None:
+            self.look_with(None)
+        assert self._live is not None
+        return self._live.source(trial, slot)
+
+    def live_logs(self, number: int) -> list[tuple[str, bytes]]:
+        """(payload, frames) of every live panel of the trial shown last, which was presentation ``number``."""
+        if not self._shown:
+            return []
+        from studyapp.live_sources import log_of
+
+        logs = [log_of(source, number, slot) for slot, source in self._shown.items()]
+        return [(log.payload, log.frames) for log in logs]
 
     def rows(self) -> list[tuple[str, str, str]]:
         """(identity, manifest, cost) of each clip shown, for the session's ``clips``."""

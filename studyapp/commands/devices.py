@@ -26,8 +26,12 @@ VENDOR_EXTRAS = {"tobii": "tobii_research", "eyelink": "pylink"}
 def configure(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.add_argument("--json", action="store_true", help="one JSON object")
-    parser.add_argument("--test", default=None, metavar="KIND:PORT",
-                        help=f"show what a device sends; KIND: {' | '.join(KINDS)}; 'xid:emulated' for an emulator")  # fmt: skip
+    parser.add_argument(
+        "--test",
+        default=None,
+        metavar="KIND:PORT",
+        help=f"show what one sends; KIND: {', '.join(KINDS)}; port 'emulated': an emulator",
+    )
     parser.add_argument("--seconds", type=float, default=10.0, help="how long to test (default 10)")
     parser.add_argument("--lab", default=None, metavar="FILE", help="lab file (default: $STUDYAPP_LAB, else lab.yaml)")
     parser.add_argument("--no-lsl", action="store_true", help="do not look for streams on the network")
@@ -58,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def attached(look_for_streams: bool = True) -> dict[str, Any]:
-    """Serial ports (with Cedrus boxes found by asking), LSL gaze streams, and which vendors' libraries are installed."""
+    """Serial ports (with Cedrus boxes found by asking), LSL gaze streams, which vendors' libraries are installed."""
     from importlib.util import find_spec
 
     from studyapp.devices import cedrus_xid

@@ -66,6 +66,7 @@ class LiveSource:
         self.size_px, self.rate_hz, self.frame_count = view.size_px, view.rate_hz, view.frame_count
         self._technique, self._view, self._gaze, self._clock_ns = technique, view, gaze, clock_ns
         self._codes = np.empty((view.size_px[1], view.size_px[0], 4), np.uint8)
+        self._warm_frames = max(1, round(view.warm_up_s * view.rate_hz))
         self._newest = -1
         self._last: tuple[Gaze, int] | None = None
         self._log = np.zeros(view.frame_count * 2, LIVE_DTYPE)
@@ -75,7 +76,7 @@ class LiveSource:
         """Forget history and log, and bring the technique to its steady state at the clip's start."""
         self._technique.reset(self._view.seed)
         self._newest, self._logged, self._last = -1, 0, None
-        warm = max(1, round(self._view.warm_up_s * self.rate_hz))
+        warm = self._warm_frames
         for index in range(-warm, 0):
             self._encode(self._technique.render(self._view_at(index, None, cut=index == -warm)).color)
 
@@ -113,8 +114,9 @@ class LiveSource:
     def _view_at(self, index: int, gaze: Gaze | None, cut: bool) -> View:
         view = self._view
         t1 = view.start_s + index / view.rate_hz
+        # A technique's index counts from the warm-up's start, as for stored clips.
         return View(
-            index,
+            index + self._warm_frames,
             t1 - 1 / view.rate_hz,
             t1,
             view.size_px,

@@ -67,7 +67,7 @@ def test_warm_up_ends_where_the_clip_begins() -> None:
     source = LiveSource(technique, view(start_s=Fraction(2), seed=9))  # type: ignore[arg-type]
     source.begin()
     assert technique.resets == [9]
-    assert [v.index for v in technique.views] == [-4, -3, -2, -1]
+    assert [v.index for v in technique.views] == [0, 1, 2, 3]
     assert [v.cut for v in technique.views] == [True, False, False, False]
     source.frame(0)
     last = technique.views[-1]

@@ -1,0 +1,60 @@
+"""What a session asks of the eye tracker before its first trial: accuracy, precision, loss, latency."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from protocols.conditions import Gaze
+from stimuli.errors import InputError, problem
+from studyapp.gaze.angles import ScreenGeometry
+from studyapp.gaze.calibration import target_points
+from studyapp.gaze.targets import TargetScreen
+from studyapp.gaze.validation import validate
+from studyapp.seams import Display, GazeSource
+
+VALIDATION_OVERRIDE, LATENCY_OVERRIDE, TRACKER_OVERRIDE = "gaze_validation", "gaze_latency", "gaze_tracker"
+
+
+def check_gaze(
+    limits: Gaze,
+    gaze: GazeSource | None,
+    display: Display,
+    geometry: ScreenGeometry,
+    overrides: Mapping[str, str],
+    on_target: Callable[[float, float], None] | None = None,
+) -> tuple[dict[str, Any] | None, list[dict[str, str]]]:
+    """Validate where the protocol requires gaze; (measures, overrides that were needed).
+
+    (None, []) where it requires none. On the virtual display, whose clock is not the tracker's, nothing can be
+    validated: only the tracker's presence is checked. Raises InputError for every limit that is missed without its
+    override.
+    """
+    if not limits.required:
+        return None, []
+    used: list[dict[str, str]] = []
+    problems: list[str] = []
+
+    def need(check: str, lines: list[str]) -> None:
+        if lines and overrides.get(check, "").strip():
+            used.append({"check": check, "reason": overrides[check]})
+        else:
+            problems.extend(f"{line} (or --override {check}=REASON)" for line in lines)
+
+    measures = None
+    if gaze is None:
+        need(TRACKER_OVERRIDE, [problem("gaze", "eye tracker", "none in the lab file", "one, as the protocol asks")])
+    elif display.stamp_class != "virtual":
+        screen = TargetScreen(display, geometry)
+        try:
+            found = validate(screen, gaze, geometry, target_points(limits.points), on_target)
+        finally:
+            screen.close()
+        measures = found.as_dict()
+        need(VALIDATION_OVERRIDE, found.failures(limits))
+        if not found.age_p95_ms <= limits.latency_p95_ms:
+            wanted = f"at most {limits.latency_p95_ms:g} ms"
+            need(LATENCY_OVERRIDE, [problem("gaze", "age at flip (p95)", f"{found.age_p95_ms:.1f} ms", wanted)])
+    if problems:
+        raise InputError(*problems)
+    return measures, used
