@@ -8,7 +8,7 @@ import numpy as np
 from scipy import optimize
 
 from analysis.formula import RandomTerm
-from analysis.threshold_model import Bounds, ThresholdFit, point_terms
+from analysis.threshold_model import Bounds, ThresholdFit
 
 
 class Laplace:
@@ -30,7 +30,7 @@ class Laplace:
 
         def terms(u: np.ndarray) -> tuple[np.ndarray, ...]:
             shift = z @ u
-            return point_terms(a - shift, b - shift, self.bounds.no_upper, self.bounds.no_lower, self.link)
+            return self.bounds.terms(a - shift, b - shift, self.link)
 
         u = self.u
         value, ga, gb, haa, hbb, hab = terms(u)

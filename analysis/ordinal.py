@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -26,7 +27,7 @@ from analysis.results import (
     one_of,
     result_table,
 )
-from analysis.threshold_model import LINKS, Bounds, ThresholdFit, fit_fixed, fit_mixed, separation_direction
+from analysis.threshold_model import LINKS, Bounds, ThresholdFit, collapsed, fit_fixed, fit_mixed, separation_direction
 from stimuli.errors import InputError, problem
 
 MAX_CATEGORIES = 100
@@ -76,7 +77,18 @@ def cumulative_link(
         return _nothing(frame, [*names, *terms], UNDEFINED, note, what)
     labels = [*names, *(terms[k] for k in used)]
     aliased = [t for k, t in enumerate(terms) if k not in set(used.tolist())]
-    return _fit(frame, Bounds(upper, lower, top, bottom), start, labels, aliased, link, nodes, j, what, np.ones(j + q))
+    return _fit(
+        frame,
+        Bounds(upper, lower, top, bottom, np.ones(n)),
+        start,
+        labels,
+        aliased,
+        link,
+        nodes,
+        j,
+        what,
+        np.ones(j + q),
+    )
 
 
 def binomial_mixed(
@@ -107,7 +119,7 @@ def binomial_mixed(
     labels, x = [frame.terms[k] for k in used], frame.x[:, used]
     one = y == 1
     # P(1) = 1 - F(-x'b - u): the bounds are -x'b, below for a success and above for a failure.
-    bounds = Bounds(np.where(one[:, None], 0.0, -x), np.where(one[:, None], -x, 0.0), one, ~one)
+    bounds = Bounds(np.where(one[:, None], 0.0, -x), np.where(one[:, None], -x, 0.0), one, ~one, np.ones(len(y)))
     what = f"Binomial {link} model, {formula}"
     if not len(y):
         return _nothing(frame, [*labels, *aliased], UNDEFINED, "no valid answer", what)
@@ -150,19 +162,23 @@ def _fit(
         if len(term.levels) < 2:
             lacking = f"{term.name!r} has {len(term.levels)} group: no inference about others"
             return _nothing(frame, [*labels, *aliased, *frame.empty], TOO_FEW_SUBJECTS, lacking, what)
+    m = len(frame.random)
+    codes_and_designs = [*(term.codes for term in frame.random), *(term.design for term in frame.random)]
+    bounds, parts = collapsed(bounds, codes_and_designs)
+    random = [replace(t, codes=c, design=d) for t, c, d in zip(frame.random, parts[:m], parts[m:], strict=True)]
     direction = separation_direction(bounds)
     if direction is not None:
         return _separated(frame, direction, labels, aliased, what)
     fit = fit_fixed(bounds, start, link)
     random_sd: dict[str, float] = {}
     extra: dict[str, Any] = {}
-    if nodes > 1 and len(frame.random) == 1 and (frame.random[0].design == 1).all():
-        fit = fit_mixed(bounds, frame.random[0].codes, fit, link, nodes, thresholds)
-        random_sd[frame.random[0].name] = fit.sd
+    if nodes > 1 and m == 1 and (random[0].design == 1).all():
+        fit = fit_mixed(bounds, random[0].codes, fit, link, nodes, thresholds)
+        random_sd[random[0].name] = fit.sd
         extra["random_sd_se"] = fit.sd_se
         how = f"adaptive Gauss-Hermite quadrature, {nodes} nodes"
-    elif frame.random:
-        fit, found = fit_crossed(bounds, frame.random, fit, link, thresholds)
+    elif random:
+        fit, found = fit_crossed(bounds, random, fit, link, thresholds)
         random_sd = found
         how = "Laplace approximation"
     else:

@@ -29,37 +29,31 @@ class Reml:
         sizes = [len(np.unique(term.codes)) for term in random]
         self.owner = np.repeat(np.arange(len(random)), sizes)
         # Cross-products of the incidence matrices by counting: Z itself (rows by groups) is never formed.
-        self.zz = np.block([[_cross(a, b, m, k) for b, k in zip(random, sizes, strict=True)]
-                            for a, m in zip(random, sizes, strict=True)])  # fmt: skip
-        self.zq = np.vstack(
-            [np.stack([_by_group(t, c, m) for c in q.T], 1) for t, m in zip(random, sizes, strict=True)]
-        )
-        self.zy = np.concatenate([_by_group(t, y, m) for t, m in zip(random, sizes, strict=True)])
-        self.qy, self.yy = q.T @ y, float(y @ y)
+        zz = np.block([[_cross(a, b, m, k) for b, k in zip(random, sizes, strict=True)]
+                       for a, m in zip(random, sizes, strict=True)])  # fmt: skip
+        zq = np.vstack([np.stack([_by_group(t, c, m) for c in q.T], 1) for t, m in zip(random, sizes, strict=True)])
+        zy = np.concatenate([_by_group(t, y, m) for t, m in zip(random, sizes, strict=True)])[:, None]
+        qy = (q.T @ y)[:, None]
+        self.gram = np.block([[zz, zq, zy], [zq.T, np.eye(self.p), qy], [zy.T, qy.T, np.array([[float(y @ y)]])]])
 
     def state(self, variances: np.ndarray) -> dict[str, Any]:
         """Restricted log-likelihood, its gradient and (negative) Hessian by the variances, and the coefficients."""
         s0, s = variances[0], variances[1:]
         d = np.sqrt(s[self.owner])
         # V^-1 = (I - Z D A^-1 D Z') / s0 with A = s0 I + D Z'Z D.
-        a = s0 * np.eye(len(d)) + d[:, None] * self.zz * d
-        factor = linalg.cho_factor(a, lower=True)
-
-        def through(left: np.ndarray, right: np.ndarray, plain: np.ndarray) -> np.ndarray:
-            inner = linalg.cho_solve(factor, d[:, None] * right)
-            return np.asarray((plain - (d[:, None] * left).T @ inner) / s0)
-
-        zy, qy = self.zy[:, None], self.qy[:, None]
-        x_v_x = through(self.zq, self.zq, np.eye(self.p))
-        x_v_y = through(self.zq, zy, qy)[:, 0]
-        y_v_y = float(through(zy, zy, np.array([[self.yy]]))[0, 0])
-        z_v_x, z_v_z = through(self.zz, self.zq, self.zq), through(self.zz, self.zz, self.zz)
-        z_v_y = through(self.zz, zy, zy)[:, 0]
+        a = s0 * np.eye(len(d)) + d[:, None] * self.gram[: len(d), : len(d)] * d
+        root = linalg.cholesky(a, lower=True, check_finite=False)
+        # (Z X y)' V^-1 (Z X y) in one piece.
+        half = linalg.solve_triangular(root, d[:, None] * self.gram[: len(d)], lower=True, check_finite=False)
+        whole = (self.gram - half.T @ half) / s0
+        g, x = slice(0, len(d)), slice(len(d), len(d) + self.p)
+        z_v_z, z_v_x, x_v_x = whole[g, g], whole[g, x], whole[x, x]
+        z_v_y, x_v_y, y_v_y = whole[g, -1], whole[x, -1], float(whole[-1, -1])
         inverse = np.linalg.inv(x_v_x)
         beta = inverse @ x_v_y
         y_p_y = y_v_y - float(x_v_y @ beta)
         z_p_z, z_p_y = z_v_z - z_v_x @ inverse @ z_v_x.T, z_v_y - z_v_x @ beta
-        log_det_v = self.n * math.log(s0) + 2 * float(np.sum(np.log(np.diag(factor[0])))) - len(d) * math.log(s0)
+        log_det_v = self.n * math.log(s0) + 2 * float(np.sum(np.log(np.diag(root)))) - len(d) * math.log(s0)
         value = -0.5 * (
             log_det_v + float(np.linalg.slogdet(x_v_x)[1]) + y_p_y + (self.n - self.p) * math.log(2 * math.pi)
         )
@@ -111,7 +105,7 @@ def maximise(reml: Reml, start: np.ndarray) -> tuple[np.ndarray, bool]:
     for ratio in (1.0, 0.1) if len(reml.owner) < 150 else (0.7,):
         found = optimize.minimize(
             objective, np.full(k, ratio), jac=True, method="L-BFGS-B", bounds=[(0.0, 1e4)] * k,
-            options={"ftol": 1e-14, "gtol": 1e-8, "maxiter": 500},
+            options={"ftol": 1e-11, "gtol": 1e-6, "maxiter": 500},
         )  # fmt: skip
         if best is None or found.fun < best[0]:
             best = (float(found.fun), found.x)

@@ -12,6 +12,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
 from scipy import optimize, special
 
 LINKS = ("logit", "probit", "cloglog")
@@ -19,12 +20,40 @@ LINKS = ("logit", "probit", "cloglog")
 
 @dataclass(frozen=True)
 class Bounds:
-    """``upper``, ``lower`` (rows, parameters), and where they are infinite."""
+    """``upper``, ``lower`` (rows, parameters), where they are infinite, and how many observations a row stands for."""
 
     upper: np.ndarray
     lower: np.ndarray
     no_upper: np.ndarray
     no_lower: np.ndarray
+    weight: np.ndarray
+
+    def rows(self, index: np.ndarray) -> Bounds:
+        """Some rows, or the rows in another order."""
+        return Bounds(*(part[index] for part in (self.upper, self.lower, self.no_upper, self.no_lower, self.weight)))
+
+    def terms(self, a: np.ndarray, b: np.ndarray, link: str) -> tuple[np.ndarray, ...]:
+        """``point_terms`` times the rows' weights; ``a``, ``b`` (rows,) or (rows, nodes)."""
+        flags = (self.no_upper, self.no_lower, self.weight)
+        if a.ndim == 2:
+            flags = (flags[0][:, None], flags[1][:, None], flags[2][:, None])
+        return tuple(flags[2] * part for part in point_terms(a, b, flags[0], flags[1], link))
+
+
+def collapsed(bounds: Bounds, groups: list[np.ndarray]) -> tuple[Bounds, list[np.ndarray]]:
+    """Equal observations of equal groups as one row with a weight: what a study with few conditions comes down to."""
+    key = np.zeros(len(bounds.weight), dtype=np.int64)
+    columns = [*bounds.upper.T, *bounds.lower.T, bounds.no_upper, bounds.no_lower, *groups]
+    for column in columns:
+        codes, unique = pd.factorize(column)
+        key = pd.factorize(key * len(unique) + codes)[0].astype(np.int64)
+    first = np.unique(key, return_index=True)[1]
+    made = bounds.rows(first)
+    weight = np.bincount(key, weights=bounds.weight, minlength=len(first))
+    return (
+        Bounds(made.upper, made.lower, made.no_upper, made.no_lower, weight),
+        [group[first] for group in groups],
+    )
 
 
 @dataclass(frozen=True)
@@ -96,7 +125,7 @@ def fit_fixed(bounds: Bounds, start: np.ndarray, link: str) -> ThresholdFit:
         crossed = ~bounds.no_upper & ~bounds.no_lower & (a <= b)
         if crossed.any():
             return -math.inf, phi, np.zeros((0, 0))
-        value, ga, gb, haa, hbb, hab = point_terms(a, b, bounds.no_upper, bounds.no_lower, link)
+        value, ga, gb, haa, hbb, hab = bounds.terms(a, b, link)
         u, l = bounds.upper, bounds.lower
         cross = u.T @ (hab[:, None] * l)
         hessian = u.T @ (haa[:, None] * u) + l.T @ (hbb[:, None] * l) + cross + cross.T
@@ -129,9 +158,9 @@ class Quadrature:
     """Log-likelihood and gradient of a model with one random intercept; keeps each group's mode between calls."""
 
     def __init__(self, bounds: Bounds, groups: np.ndarray, link: str, nodes: int) -> None:
-        self.bounds, self.link = bounds, link
+        self.link = link
         order = np.argsort(groups, kind="stable")
-        self.bounds = Bounds(*(part[order] for part in (bounds.upper, bounds.lower, bounds.no_upper, bounds.no_lower)))
+        self.bounds = bounds.rows(order)
         self.codes = groups[order]
         self.starts = np.flatnonzero(np.diff(self.codes, prepend=-1))
         self.t, weight = special.roots_hermite(nodes)
@@ -142,10 +171,9 @@ class Quadrature:
         return np.add.reduceat(values, self.starts, axis=0)
 
     def _terms(self, a: np.ndarray, b: np.ndarray, shift: np.ndarray) -> tuple[np.ndarray, ...]:
-        flags = (self.bounds.no_upper, self.bounds.no_lower)
         if shift.ndim == 2:
-            a, b, flags = a[:, None], b[:, None], (flags[0][:, None], flags[1][:, None])
-        return point_terms(a - shift, b - shift, *flags, self.link)
+            a, b = a[:, None], b[:, None]
+        return self.bounds.terms(a - shift, b - shift, self.link)
 
     def evaluate(self, phi: np.ndarray, sd: float) -> tuple[float, np.ndarray]:
         """Log-likelihood and its gradient by (phi, sd)."""
