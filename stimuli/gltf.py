@@ -17,8 +17,9 @@ from stimuli.errors import InputError, problem
 from stimuli.gltf_animation import Channel, NodeTrack, Rig, RigNode, compose, unit
 from stimuli.gltf_buffers import Document, open_document
 from stimuli.gltf_materials import MaterialReader
-from stimuli.gltf_meshes import ReadPrimitive, read_primitive, skinned_vertices
-from stimuli.scene import CameraPath, Light, Mover, Part, PoseTrack, Primitive, StillCamera
+from stimuli.gltf_meshes import ReadPrimitive, read_primitive
+from stimuli.gltf_skins import SkinTrack
+from stimuli.scene import CameraPath, Light, Mover, Part, PoseTrack, Primitive, Skin, StillCamera
 
 _WIDTH = {"translation": 3, "rotation": 4, "scale": 3}
 _REST = {"translation": (0.0, 0.0, 0.0), "rotation": (0.0, 0.0, 0.0, 1.0), "scale": (1.0, 1.0, 1.0)}
@@ -45,6 +46,7 @@ class GltfContent:
     static: list[Part] = field(default_factory=list)
     movers: list[Mover] = field(default_factory=list)
     lights: list[Light] = field(default_factory=list)
+    skins: list[Skin] = field(default_factory=list)
     camera: CameraPath | None = None
     duration_s: float = 0.0
     animation: str = ""
@@ -236,7 +238,7 @@ class _Reader:
         mirrored = bool(np.linalg.det(self._world_at_start(node)[:3, :3]) < 0.0)
         for name, primitive in self._mesh_primitives(entry):
             if "skin" in entry and primitive.joints is not None:
-                self._content.static.append(self._skinned_part(name, primitive, entry["skin"]))
+                self._read_skinned(name, primitive, entry["skin"])
                 continue
             key = id(primitive), mirrored
             if key not in self._arrays:
@@ -257,28 +259,26 @@ class _Reader:
                 base = str(node.get("name", mesh.get("name", f"mesh {index}")))
                 yield (base if number == 0 else f"{base}#{number}"), primitive
 
-    def _skinned_part(self, name: str, primitive: ReadPrimitive, skin_index: int) -> Part:
+    def _read_skinned(self, name: str, primitive: ReadPrimitive, skin_index: int) -> None:
         skin = self._document.item("skins", skin_index, "node")
         joints = list(skin.get("joints", []))
         assert primitive.joints is not None
+        where = f"skin {skin_index} joint"
         if primitive.joints.size and int(primitive.joints.max()) >= len(joints):
-            raise InputError(
-                problem(
-                    self._document.path, f"skin {skin_index} joint", int(primitive.joints.max()), f"below {len(joints)}"
-                )
-            )
+            raise InputError(problem(self._document.path, where, int(primitive.joints.max()), f"below {len(joints)}"))
         missing = [joint for joint in joints if joint not in self._anchor]
         if missing:
-            raise InputError(
-                problem(self._document.path, f"skin {skin_index} joint", missing[0], "a node of the scene")
-            )
+            raise InputError(problem(self._document.path, where, missing[0], "a node of the scene"))
         bind = np.tile(np.eye(4), (len(joints), 1, 1))
         if "inverseBindMatrices" in skin:
             stored = self._document.array(skin["inverseBindMatrices"]).reshape(-1, 4, 4).transpose(0, 2, 1)
-            bind[: len(stored)] = stored[: len(joints)]
-        matrices = np.stack([self._world_at_start(joint) for joint in joints]) @ bind
-        positions, normals = skinned_vertices(primitive, matrices)
-        self._document.note(f"{self._document.path.name}: skinned meshes stand still in their pose at time 0")
+            if len(stored) < len(joints):
+                raise InputError(problem(self._document.path, f"skin {skin_index} matrices", len(stored), len(joints)))
+            bind = stored[: len(joints)]
+        anchors = [self._anchor[joint] for joint in joints]
+        rows = np.array([-1 if animated < 0 else self._rig.row[animated] for animated, _ in anchors])
+        track = SkinTrack(primitive, self._rig, rows, np.stack([below for _, below in anchors]), bind)
+        positions, normals = track.vertices(0.0)
         mesh = Primitive(
             positions=positions,
             normals=normals,
@@ -287,7 +287,12 @@ class _Reader:
             indices=primitive.indices,
             material=primitive.material.pbr,
         )
-        return Part(name, mesh, primitive.material, np.eye(4), positions)
+        if (rows >= 0).any():
+            self._content.skins.append(Skin(len(self._content.static), track))
+            self._document.note(
+                f"{self._document.path.name}: skinned meshes stand as at 0 s where vertices are not updated"
+            )
+        self._content.static.append(Part(name, mesh, primitive.material, np.eye(4), positions))
 
     # --- cameras and lights ---
 

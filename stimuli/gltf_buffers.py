@@ -58,14 +58,16 @@ class Document:
     digest: Any = field(default_factory=hashlib.sha256)
     notes: list[str] = field(default_factory=list)
     _buffers: dict[int, bytes] = field(default_factory=dict)
-    _views: dict[tuple[int, str], np.ndarray] = field(default_factory=dict)
+    _lists: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
 
     def items(self, kind: str) -> list[dict[str, Any]]:
         """The JSON array ``kind`` ('nodes', 'meshes', ...), empty where the file has none."""
-        value = self.json.get(kind, [])
-        if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
-            raise InputError(problem(self.path, kind, type(value).__name__, "a list of objects"))
-        return value
+        if kind not in self._lists:
+            value = self.json.get(kind, [])
+            if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
+                raise InputError(problem(self.path, kind, type(value).__name__, "a list of objects"))
+            self._lists[kind] = value
+        return self._lists[kind]
 
     def item(self, kind: str, index: object, wanted_by: str) -> dict[str, Any]:
         """Entry ``index`` of ``kind``; InputError names who asked where there is none."""

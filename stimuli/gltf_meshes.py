@@ -145,22 +145,6 @@ def mend_normals(positions: np.ndarray, normals: np.ndarray, faces: np.ndarray) 
     return np.where(bad[:, None], per_vertex, safe), int((bad & used).sum())
 
 
-def skinned_vertices(primitive: ReadPrimitive, joint_matrices: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-    """World positions (N, 3) and unit normals of a skinned primitive; ``joint_matrices`` (J, 4, 4) = joint world x
-    inverse bind matrix (glTF 2.0, 3.7.3)."""
-    assert primitive.joints is not None
-    assert primitive.weights is not None
-    blend = np.einsum("nj,njab->nab", primitive.weights, joint_matrices[primitive.joints])
-    positions = np.einsum("nab,nb->na", blend[:, :3, :3], primitive.positions) + blend[:, :3, 3]
-    if primitive.normals is None:
-        return positions, None
-    # The cofactor matrix turns normals as the inverse transpose does, and exists where the inverse does not.
-    a, b, c = blend[:, :3, 0], blend[:, :3, 1], blend[:, :3, 2]
-    cofactor = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=2)
-    normals = np.einsum("nab,nb->na", cofactor, primitive.normals)
-    return positions, mend_normals(positions, normals, primitive.indices.astype(np.int64))[0]
-
-
 def _attribute(document: Document, index: int, width: int, where: str, count: int | None = None) -> np.ndarray:
     values = document.array(index)
     if values.shape[1] != width or (count is not None and len(values) != count):

@@ -97,6 +97,7 @@ def _load_gltf(path: Path, animation: str | None) -> Scene:
         duration_s=content.duration_s,
         notes=(*content.notes, *lights.notes),
         view=lights.view,
+        skins=tuple(content.skins),
     )
     return with_light(scene)
 

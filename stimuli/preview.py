@@ -18,7 +18,7 @@ from PIL import Image, ImageDraw
 from stimuli.camera_path import camera_path, scene_radius
 from stimuli.errors import InputError, problem
 from stimuli.load import load_scene
-from stimuli.scene import CameraPath, Material, Part, Scene, pyrender
+from stimuli.scene import CameraPath, Material, Part, Scene, pyrender, scene_at
 
 COLUMNS, ROWS = 4, 3
 TILE_PX = (400, 225)
@@ -60,8 +60,10 @@ def raster(
     width, height = size_px[0] * supersample, size_px[1] * supersample
     view = pyrender.Scene(bg_color=[*scene.background, 1.0], ambient_light=[0.25, 0.25, 0.25])
     meshes: dict[tuple[int, tuple[float, float]], pyrender.Mesh] = {}
-    for part in scene.static:
-        view.add(_mesh(part, (-np.inf, np.inf), meshes), pose=part.matrix)
+    skinned = {skin.part for skin in scene.skins}
+    for number, part in enumerate(scene.static):
+        if number not in skinned:
+            view.add(_mesh(part, (-np.inf, np.inf), meshes), pose=part.matrix)
     moving = []
     for mover in scene.movers:
         for part in mover.parts:
@@ -82,7 +84,11 @@ def raster(
                 view.set_pose(node, poses[id(mover)] @ part.matrix)
             for node in (eye, lamp):
                 view.set_pose(node, camera.pose(at)[0])
+            posed = scene_at(scene, float(time_s))
+            bent = [view.add(_mesh(posed.static[number], (-np.inf, np.inf), {})) for number in skinned]
             color, _depth = renderer.render(view)
+            for node in bent:
+                view.remove_node(node)
             small = Image.fromarray(color).resize(size_px, Image.Resampling.BOX)
             pictures.append(np.asarray(small))
     finally:
@@ -131,8 +137,8 @@ def _sheet(scene: Scene, camera: CameraPath) -> Image.Image:
     times = frame_times(scene, camera, COLUMNS * ROWS)
     width, height = TILE_PX
     title = (
-        f"{scene.name}: {scene.triangle_count:,} triangles, {len(scene.static)} static parts, {len(scene.movers)} movers, "
-        f"{len(scene.lights)} lights, path '{camera.name}' (preview light at the camera)"
+        f"{scene.name}: {scene.triangle_count:,} triangles, {len(scene.static)} static parts, "
+        f"{len(scene.movers)} movers, {len(scene.lights)} lights, path '{camera.name}' (preview light at the camera)"
     )
     sheet = Image.new("RGB", (COLUMNS * width, ROWS * (height + _LABEL_PX) + _LABEL_PX), (24, 24, 24))
     pen = ImageDraw.Draw(sheet)

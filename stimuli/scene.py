@@ -8,7 +8,7 @@ lights, pose tracks. World: right-handed, +y up where the file says nothing; met
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, Protocol
 
 import numpy as np
@@ -149,6 +149,22 @@ class Mover:
     visible_s: tuple[float, float] = (-np.inf, np.inf)
 
 
+class VertexTrack(Protocol):
+    """Where the vertices of a deforming mesh are over time; a pure function."""
+
+    def vertices(self, time_s: float) -> tuple[np.ndarray, np.ndarray | None]:
+        """World positions (N, 3) float64 and unit normals (N, 3), or None where the mesh has none, at one time."""
+        ...
+
+
+@dataclass(frozen=True)
+class Skin:
+    """A skinned mesh: ``Scene.static[part]`` is its shape at time 0 (identity matrix), ``track`` moves it."""
+
+    part: int
+    track: VertexTrack
+
+
 @dataclass(frozen=True)
 class Light:
     """A light. ``track`` carries it (its position and direction are then in the track's space).
@@ -184,7 +200,8 @@ class Scene:
     ``ambient`` multiplies Phong ambient terms and base colours. ``sha256`` identifies the content (of the files, or of
     a procedural recipe and its version). ``notes`` are lines that the user should hear (what was assumed or ignored).
     ``duration_s`` is the length of the scene's own animation (0: it does not move). ``view`` is a second, fixed view
-    where the files name one (BART's ``view``), whether or not ``camera`` moves.
+    where the files name one (BART's ``view``), whether or not ``camera`` moves. ``skins`` say which static parts
+    deform; `scene_at` poses them, and whoever ignores them sees them still, as at time 0.
     """
 
     name: str
@@ -199,9 +216,30 @@ class Scene:
     duration_s: float = 0.0
     notes: tuple[str, ...] = ()
     view: CameraPath | None = None
+    skins: tuple[Skin, ...] = ()
 
     @property
     def triangle_count(self) -> int:
         """Triangles of all parts, static and moving."""
         parts = [*self.static, *(part for mover in self.movers for part in mover.parts)]
         return sum(len(part.primitive.indices) for part in parts)
+
+
+def scene_at(scene: Scene, time_s: float) -> Scene:
+    """``scene`` with its skinned parts as they are at ``time_s``; the same object where it has none."""
+    if not scene.skins:
+        return scene
+    static = list(scene.static)
+    for skin in scene.skins:
+        part = static[skin.part]
+        positions, normals = skin.track.vertices(time_s)
+        primitive = Primitive(
+            positions=positions,
+            normals=normals,
+            texcoord_0=part.primitive.texcoord_0,
+            color_0=part.primitive.color_0,
+            indices=part.primitive.indices,
+            material=part.primitive.material,
+        )
+        static[skin.part] = replace(part, primitive=primitive, positions64=positions)
+    return replace(scene, static=tuple(static))

@@ -103,7 +103,7 @@ def build(files: Mapping[str, Path] | None = None) -> Scene:
         ),
         camera=_camera(),
         sha256=digest.hexdigest() if files else recipe_sha256("mixed_reality_room", VERSION),
-        ambient=(0.15, 0.15, 0.16),
+        ambient=(0.06, 0.06, 0.065),
         duration_s=DURATION_S,
         notes=tuple(
             f"mixed_reality_room: a stand-in for {name}" for name in ("bunny", "teapot", "spot") if name not in files

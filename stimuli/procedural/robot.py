@@ -59,7 +59,7 @@ def build() -> Scene:
         lights=(
             Light(
                 "spot",
-                (30.0, 28.0, 24.0),
+                (60.0, 56.0, 48.0),
                 (3.0, 3.8, 2.5),
                 (-0.55, -0.7, -0.45),
                 inner_rad=0.5,
@@ -70,7 +70,7 @@ def build() -> Scene:
         ),
         camera=_camera(),
         sha256=recipe_sha256("robot", VERSION),
-        ambient=(0.1, 0.1, 0.11),
+        ambient=(0.02, 0.02, 0.025),
         background=(0.03, 0.03, 0.04),
         duration_s=DURATION_S,
     )

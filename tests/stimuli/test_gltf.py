@@ -13,7 +13,7 @@ from PIL import Image
 from stimuli import load_scene
 from stimuli.errors import InputError
 from stimuli.gltf_meshes import mend_normals, triangles_of
-from stimuli.scene import Part, Scene
+from stimuli.scene import Part, Scene, scene_at
 from tests.stimuli.tiny_glb import TRIANGLE, TinyGlb
 
 
@@ -395,3 +395,33 @@ def test_a_file_with_any_byte_of_its_json_changed_loads_or_is_one_line_of_input_
             lines.append(str(error))
     assert len(lines) > 50
     assert all(len(line.splitlines()) == 1 for line in lines)
+
+
+def test_skinned_vertices_follow_their_joints_over_time(tmp_path: Path) -> None:
+    scene = skinned(tmp_path)
+    assert scene_at(scene, 0.0).static[0].positions.tolist() == scene.static[0].positions.tolist()
+    bent = scene_at(scene, 0.5).static[0]
+    # The second joint has risen by 3 m: vertex 1 follows whole, vertex 2 by half.
+    assert np.allclose(bent.positions, [[0, 0, 1], [1, 5, 0], [0, 3.5, 0.5]])
+    assert np.allclose(bent.primitive.normals, [[0, 0, 1]] * 3)
+    assert np.allclose(scene.static[0].positions, [[0, 0, 1], [1, 2, 0], [0, 2, 0.5]])
+
+
+def test_a_skin_whose_joints_all_turn_alike_turns_its_normals_too(tmp_path: Path) -> None:
+    glb = TinyGlb()
+    mesh = glb.mesh(
+        TRIANGLE,
+        JOINTS_0=glb.accessor([[0, 0, 0, 0]] * 3, "u1"),
+        WEIGHTS_0=glb.accessor([[0.25, 0.25, 0.25, 0.25]] * 3),
+        NORMAL=glb.accessor([[0, 0.6, 0.8]] * 3),
+    )
+    joint = glb.node(scale=[1, 1, 4])
+    glb.node(mesh=mesh, skin=0)
+    glb.json["skins"] = [{"joints": [joint]}]
+    half = np.sin(np.pi / 4)
+    glb.animate(joint, "rotation", [0.0, 1.0], [[0, 0, 0, 1], [half, 0, 0, half]])
+    part = scene_at(load_scene(glb.write(tmp_path)), 1.0).static[0]
+    # Scaling z by 4 makes the normal (0, 0.6, 0.2); a quarter turn about x takes y to z and z to -y.
+    wanted = np.array([0, -0.2, 0.6]) / np.linalg.norm([0.2, 0.6])
+    assert np.allclose(part.primitive.normals, [wanted] * 3, atol=1e-6)
+    assert np.allclose(part.positions[2], (0, 0, 1))
