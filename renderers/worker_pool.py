@@ -15,6 +15,8 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Literal
 
+import OpenEXR
+
 from renderers.render_unit import do_unit, renderer_class
 from renderers.units import Unit
 from stimuli.clip import ClipStore
@@ -72,6 +74,7 @@ def _work(connection: Connection, root: str, renderer: str, log: str) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
     words = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
     os.dup2(words, 2)  # tracebacks and what libraries print when they abort
+    OpenEXR.set_global_thread_count(0)  # frames are written by this thread alone
     store = ClipStore(Path(root))
     maker = renderer_class(renderer)(1)
     try:

@@ -8,7 +8,7 @@ from protocols.load import load_study
 from stimuli.clip import ClipStore, estimate_disk
 from stimuli.errors import InputError, problem
 from studyapp.cli import JobFailed
-from studyapp.clips import resolve_clips, store_directory
+from studyapp.clips import StudyClips, resolve_clips, store_directory
 
 HELP = "render the clips of a protocol that the store lacks"
 EXAMPLE = "studyapp render demo --workers 2"
@@ -20,6 +20,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--workers", type=int, default=1, help="processes of one thread each (1: in this process)")
     parser.add_argument("--cluster", metavar="ADDRESS", help="a Dask scheduler that you started, as in tcp://host:8786")
     parser.add_argument("--store", metavar="DIR", help="clip store (default: $STUDYAPP_STORE, else .clips)")
+    parser.add_argument(
+        "--reference-error", type=float, metavar="E", help="say how many samples a reference needs for this standard "
+        "error of display values (0.002 is half a code of 255), and end with 1 where one has too few; renders no clip",
+    )  # fmt: skip
     parser.add_argument("--estimate", action="store_true", help="say what would be made and how much disk it takes")
 
 
@@ -41,6 +45,8 @@ def run(args: argparse.Namespace) -> int:
     )
     if args.estimate:
         return 0
+    if args.reference_error is not None:
+        return _convergence(clips, args.reference_error)
     from renderers.produce import produce  # the ray engine is loaded only now
     from renderers.worker_pool import ClusterLost
 
@@ -54,4 +60,29 @@ def run(args: argparse.Namespace) -> int:
     if outcome.poisoned:
         clips_lost = len({unit.identity for unit in outcome.poisoned})
         raise JobFailed(f"{len(outcome.poisoned)} units of {clips_lost} clips failed; the others are made")
+    return 0
+
+
+def _convergence(clips: StudyClips, target: float) -> int:
+    """A line for each reference clip: the samples it has, and those it needs for ``target``."""
+    from renderers.clip_renderer import ClipRenderer
+    from renderers.convergence import reference_error, samples_for_error
+    from renderers.produce import samples_per_pixel
+
+    renderer = ClipRenderer(None)
+    short = 0
+    jobs = {job.request.identity: job for job in clips.jobs if samples_per_pixel(job.request) is not None}
+    for job in jobs.values():
+        spp = samples_per_pixel(job.request)
+        assert spp is not None
+        found = samples_for_error(job, target, renderer)
+        has = found.errors.get(spp)
+        error = reference_error(job, spp, renderer) if has is None else has
+        short += error > target
+        needed = f"{found.spp} spp" if found.spp else f"more than {max(found.errors)} spp"
+        print(f"{job.request.scene}: reference of {spp} spp: error {error:.5f}; {target:g} needs {needed}")
+    if short:
+        raise JobFailed(
+            f"{short} of {len(jobs)} references are not converged to {target:g}: raise their spp in the protocol"
+        )
     return 0
