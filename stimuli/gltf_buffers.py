@@ -39,7 +39,9 @@ REFUSED = {
 READ = {
     "KHR_lights_punctual",
     "KHR_materials_emissive_strength",
+    "EXT_texture_webp",
     "KHR_materials_ior",
+    "KHR_materials_pbrSpecularGlossiness",
     "KHR_materials_transmission",
     "KHR_materials_unlit",
     "KHR_texture_transform",

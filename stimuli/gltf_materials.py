@@ -14,7 +14,7 @@ import numpy as np
 from PIL import Image, UnidentifiedImageError
 
 from stimuli.errors import InputError, problem
-from stimuli.gltf_buffers import Document
+from stimuli.gltf_buffers import Document, refuse_extensions
 from stimuli.scene import RGB, Material, Phong, pyrender
 
 CLAMP, MIRROR, REPEAT = 33071, 33648, 10497
@@ -83,8 +83,11 @@ class MaterialReader:
     def _material(self, entry: dict[str, Any], label: str) -> ReadMaterial:
         name = str(entry.get("name", label))
         where = f"{self._document.path.name}: material {name!r}"
-        metal = entry.get("pbrMetallicRoughness", {})
         extensions = entry.get("extensions", {})
+        glossy = extensions.get("KHR_materials_pbrSpecularGlossiness")
+        metal = entry.get("pbrMetallicRoughness", {}) if glossy is None else _from_glossiness(glossy)
+        if glossy is not None:
+            self._document.note(f"{where}: specular-glossiness is read as its diffuse colour and glossiness")
         slots: dict[str, Mapping[str, Any] | None] = {
             "baseColorTexture": metal.get("baseColorTexture"),
             "emissiveTexture": entry.get("emissiveTexture"),
@@ -134,9 +137,11 @@ class MaterialReader:
     def _texture(self, index: int) -> pyrender.Texture | None:
         if index not in self._textures:
             entry = self._document.item("textures", index, "material")
-            pixels = self._image(entry["source"]) if "source" in entry else None
-            if "source" not in entry:
+            source = entry.get("source", entry.get("extensions", {}).get("EXT_texture_webp", {}).get("source"))
+            if source is None:
+                refuse_extensions(self._document, entry.get("extensions", {}))
                 self._document.note(f"{self._document.path.name}: texture {index} has no image we can read; left out")
+            pixels = None if source is None else self._image(source)
             sampler = self._document.item("samplers", entry["sampler"], "texture") if "sampler" in entry else {}
             self._textures[index] = (
                 None
@@ -161,6 +166,8 @@ class MaterialReader:
             else:
                 data = document.uri_bytes(str(entry.get("uri", "")))
             pixels: np.ndarray | None = None
+            if data is not None and data[:4] == b"\xabKTX":
+                refuse_extensions(document, ["KHR_texture_basisu"])
             if data is None:
                 document.note(f"{where}: no such file; drawn without this texture")
             else:
@@ -170,6 +177,18 @@ class MaterialReader:
                     document.note(f"{error}; drawn without this texture")
             self._images[index] = pixels
         return self._images[index]
+
+
+def _from_glossiness(values: Mapping[str, Any]) -> dict[str, Any]:
+    """A metallic-roughness entry with the diffuse colour and 1 - glossiness of a specular-glossiness one."""
+    metal: dict[str, Any] = {
+        "baseColorFactor": values.get("diffuseFactor", [1.0, 1.0, 1.0, 1.0]),
+        "metallicFactor": 0.0,
+        "roughnessFactor": 1.0 - float(values.get("glossinessFactor", 1.0)),
+    }
+    if "diffuseTexture" in values:
+        metal["baseColorTexture"] = values["diffuseTexture"]
+    return metal
 
 
 def _texture_use(info: Mapping[str, Any]) -> TextureUse:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from stimuli.errors import InputError, problem
-from stimuli.gltf_buffers import Document
+from stimuli.gltf_buffers import Document, refuse_extensions
 from stimuli.gltf_materials import MaterialReader, TextureUse
 from stimuli.scene import Material, Primitive
 
@@ -62,6 +62,10 @@ def read_primitive(
     if "POSITION" not in attributes:
         document.note(f"{where}: has no POSITION; left out")
         return None
+    stored = document.item("accessors", attributes["POSITION"], where)
+    if "bufferView" not in stored and "sparse" not in stored:
+        # Compressed primitives may leave their accessors empty.
+        refuse_extensions(document, entry.get("extensions", {}))
     positions = _attribute(document, attributes["POSITION"], 3, f"{where}: POSITION")
     for target, weight in zip(entry.get("targets", []), weights or [], strict=False):
         if weight and "POSITION" in target:

@@ -37,7 +37,7 @@ def read_light_files(scene_file: Path, node: NodeLookup) -> LightFiles:
     ``_scene.json``: point lights that do not fall off with distance (``pos``, ``color``, ``anim`` = the node that
     carries the light, ``pos`` then being in its space), ``ambient``, ``background``, ``view``. ``_lights.json``:
     ``sphere`` (center, radius, radiance), ``area`` (4 vertices, one-sided along normal, radiance), ``sunsky`` (its
-    sun as a directional light, a constant sky), ``envmap`` without its picture = constant 1; others are left out, said aloud.
+    sun as a directional light, a constant sky), ``envmap`` without its picture = constant 1; others are named.
     """
     result = LightFiles()
     for ending, read in (("_scene.json", _read_bart), ("_lights.json", _read_lights)):

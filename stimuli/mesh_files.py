@@ -104,6 +104,8 @@ def _material(path: Path, name: str, visual: Any, has_uv: bool, content: MeshCon
     factor = np.ones(4)
     pixels = np.asarray(image.convert("RGBA")) if isinstance(image, Image.Image) else None
     named = path.suffix.lower() == ".obj" and b"\nmtllib " in b"\n" + path.read_bytes()
+    if named:
+        _note_missing_libraries(path, content)
     if source is not None and named:
         diffuse = np.asarray(getattr(source, "diffuse", (255, 255, 255, 255)), np.float64) / 255.0
         factor[: len(diffuse)] = diffuse
@@ -119,6 +121,8 @@ def _material(path: Path, name: str, visual: Any, has_uv: bool, content: MeshCon
                 break
     if pixels is None and not named:
         factor[:3] = 0.7
+    # What the material file and its pictures said is part of the scene's identity.
+    content.data.append(factor.tobytes() + (b"" if pixels is None else pixels.tobytes()))
     pbr = pyrender.MetallicRoughnessMaterial(
         name=name,
         baseColorFactor=factor,
@@ -128,6 +132,15 @@ def _material(path: Path, name: str, visual: Any, has_uv: bool, content: MeshCon
         doubleSided=True,
     )
     return Material(name=name, pbr=pbr)
+
+
+def _note_missing_libraries(path: Path, content: MeshContent) -> None:
+    for line in path.read_bytes().splitlines():
+        if line.startswith(b"mtllib "):
+            name = line[7:].decode("utf-8", "replace").strip()
+            text = f"{path.name}: material file {name} is not there; its materials are plain"
+            if not path.with_name(name).is_file() and text not in content.notes:
+                content.notes.append(text)
 
 
 def smooth_normals(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:

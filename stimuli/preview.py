@@ -23,6 +23,7 @@ from stimuli.scene import CameraPath, Material, Part, Scene, pyrender, scene_at
 COLUMNS, ROWS = 4, 3
 TILE_PX = (400, 225)
 _LABEL_PX = 18
+_LIMIT_S = 600
 
 
 def write_contact_sheet(scene: str, out: Path, animation: str | None = None, path: str = "file") -> list[str]:
@@ -35,9 +36,11 @@ def write_contact_sheet(scene: str, out: Path, animation: str | None = None, pat
     if not out.parent.is_dir():
         raise InputError(problem(out, "folder", "none there", "a folder that exists"))
     order = json.dumps({"scene": scene, "out": str(out), "animation": animation, "path": path})
-    child = subprocess.run(
-        [sys.executable, "-m", "stimuli.preview", order], capture_output=True, text=True, check=False, timeout=600
-    )
+    command = [sys.executable, "-m", "stimuli.preview", order]
+    try:
+        child = subprocess.run(command, capture_output=True, text=True, check=False, timeout=_LIMIT_S)
+    except subprocess.TimeoutExpired as error:
+        raise RuntimeError(f"the raster took more than {_LIMIT_S} s") from error
     if child.returncode == 2:
         raise InputError(*child.stderr.strip().splitlines())
     if child.returncode != 0:

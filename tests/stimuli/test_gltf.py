@@ -425,3 +425,33 @@ def test_a_skin_whose_joints_all_turn_alike_turns_its_normals_too(tmp_path: Path
     wanted = np.array([0, -0.2, 0.6]) / np.linalg.norm([0.2, 0.6])
     assert np.allclose(part.primitive.normals, [wanted] * 3, atol=1e-6)
     assert np.allclose(part.positions[2], (0, 0, 1))
+
+
+def test_draco_and_ktx2_that_are_used_but_not_required_are_refused_where_nothing_else_is_there(tmp_path: Path) -> None:
+    glb = TinyGlb()
+    glb.node(mesh=glb.mesh(TRIANGLE))
+    glb.json["accessors"][0].pop("bufferView")
+    glb.json["meshes"][0]["primitives"][0]["extensions"] = {"KHR_draco_mesh_compression": {"bufferView": 0}}
+    with pytest.raises(InputError, match="compressed with Draco"):
+        load_scene(glb.write(tmp_path))
+    glb = TinyGlb()
+    textured(glb, pbrMetallicRoughness={"baseColorTexture": {"index": 0}})
+    glb.json["textures"] = [{"extensions": {"KHR_texture_basisu": {"source": 0}}}]
+    with pytest.raises(InputError, match="textures in KTX2"):
+        load_scene(glb.write(tmp_path))
+    glb.json["textures"] = [{"source": 0}]
+    glb.json["images"] = [{"bufferView": glb.view(b"\xabKTX 20\xbb\r\n\x1a\n")}]
+    with pytest.raises(InputError, match="textures in KTX2"):
+        load_scene(glb.write(tmp_path))
+
+
+def test_specular_glossiness_keeps_its_diffuse_colour_and_picture(tmp_path: Path) -> None:
+    glb = TinyGlb()
+    glossy = {"diffuseFactor": [0.1, 0.2, 0.3, 1.0], "glossinessFactor": 0.25, "diffuseTexture": {"index": 0}}
+    textured(glb, extensions={"KHR_materials_pbrSpecularGlossiness": glossy})
+    scene = load_scene(glb.write(tmp_path))
+    pbr = scene.static[0].material.pbr
+    assert np.allclose(pbr.baseColorFactor, [0.1, 0.2, 0.3, 1.0])
+    assert (pbr.metallicFactor, pbr.roughnessFactor) == (0.0, 0.75)
+    assert pbr.baseColorTexture is not None
+    assert any("specular-glossiness" in note for note in scene.notes)
