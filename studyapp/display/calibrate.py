@@ -22,7 +22,8 @@ RESIDUAL_LIMIT = 0.05
 RATE_LIMIT = 0.01
 FALL_THROUGH = 0.5
 """An interval below this share of the nominal period did not wait for a vblank."""
-FALL_THROUGH_SHARE = 0.1
+FALL_THROUGH_SHARE = 0.5
+"""More such intervals than this, and there is no vblank at all."""
 OUTLIER_SHARE = 0.02
 """More stamps off the grid than this, and the grid is not the display's."""
 

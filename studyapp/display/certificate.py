@@ -12,7 +12,14 @@ from typing import Any
 
 from stimuli.errors import InputError, problem
 from studyapp.clock import wall_clock_utc
-from studyapp.display.calibrate import REFRESHES, RESIDUAL_LIMIT, fit_period, measure, why_not_locked
+from studyapp.display.calibrate import (
+    FALL_THROUGH_SHARE,
+    REFRESHES,
+    RESIDUAL_LIMIT,
+    fit_period,
+    measure,
+    why_not_locked,
+)
 from studyapp.present.frame_loop import undisturbed
 from studyapp.seams import Display
 
@@ -72,6 +79,7 @@ def certify(
     light: Mapping[str, Any] | None = None,
     photometry: Mapping[str, Any] | None = None,
     nominal_hz: Fraction | None = None,
+    background_code: int = 119,
 ) -> Certificate:
     """Measure ``display`` over ``refreshes`` swaps (at least 480; three tries) and judge it against its nominal rate.
 
@@ -90,7 +98,7 @@ def certify(
             stamps, numbers = measure(display, refreshes)
         fit = fit_period(stamps, nominal_ns, numbers)
         reasons = why_not_locked(fit, nominal)
-        if not reasons or attempts == ATTEMPTS or fit.fell_through > refreshes // 10:
+        if not reasons or attempts == ATTEMPTS or fit.fell_through > FALL_THROUGH_SHARE * refreshes:
             break
     use_period = getattr(display, "use_period", None)
     if use_period is not None and isfinite(fit.residual_sd_ns):
@@ -115,6 +123,7 @@ def certify(
         size_px=(display.size_px[0], display.size_px[1]),
         warnings=tuple(getattr(display, "warnings", ())),
         encoding=encoding,
+        background_code=background_code,
         settings=_settings(display, declared or {}),
         onset=SOFTWARE_ONSET if light is None else "onset by light sensor",
         light=light,
