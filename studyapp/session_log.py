@@ -27,7 +27,7 @@ from studyapp.session_file import EventRow, ResponseRow, SessionFile, TrialRow
 
 FLIP_RING_DTYPE = np.dtype([("trial", "<i8"), ("flip", FLIP_DTYPE)])
 POLL_S = 0.05
-STREAM_COMMIT_S = 0.15
+STREAM_COMMIT_S = 0.1
 ACKNOWLEDGE_LIMIT_S = 30.0
 
 
@@ -299,6 +299,7 @@ class _Writer:
         self.flips, self.streams = flips, streams
         self.oldest_ns: int | None = None
         self.worst_lag_s = 0.0
+        self.commits = 0
         self.rows: dict[str, int] = {"flips": 0, "events": 0, "gaze": 0, "clock_fits": 0}
         self.held: list[np.ndarray] = []
 
@@ -332,9 +333,11 @@ class _Writer:
             for index in np.unique(gaze["device"]):
                 self.file.gaze(self.streams.devices[int(index)], gaze["sample"][gaze["device"] == index])
         self.file.commit()
-        if self.oldest_ns is not None:
+        # What had waited for the writer to start is no lag of the writer's.
+        if self.oldest_ns is not None and self.commits:
             self.worst_lag_s = max(self.worst_lag_s, (clock.now_ns() - self.oldest_ns) * 1e-9)
-            self.oldest_ns = None
+        self.oldest_ns = None
+        self.commits += 1
 
     @property
     def lost(self) -> int:
