@@ -15,7 +15,7 @@ from analysis.rows import rows_of_table
 
 def _p(p: float) -> str:
     text = p_text(p)
-    return f"p {text}" if text.startswith("<") else f"p = {text}"
+    return f"p {text}" if text[0] in "<>" else f"p = {text}"
 
 
 def _share(value: float, digits: int = 2) -> str:
@@ -74,8 +74,8 @@ def _friedman(result: Result, row: Mapping[str, Any]) -> str:
 
 def _posthoc(result: Result, row: Mapping[str, Any]) -> str:
     adjust = str(result.table.attrs.get("adjust") or result.test.options.get("adjust") or "holm").capitalize()
-    text = f"{row['a']} − {row['b']}: t({row['df']:g}) = {number(row['t'], 2)}, p_{adjust} "
-    text += p_text(row["p_adjusted"]) if row["p_adjusted"] < 0.001 else f"= {p_text(row['p_adjusted'])}"
+    text = f"{row['a']} − {row['b']}: t({row['df']:g}) = {number(row['t'], 2)}"
+    text += f", p_{adjust}{_p(row['p_adjusted'])[1:]}"
     text += f", M_diff = {number(row['mean_diff'], 2)}, {_interval(row['ci_low'], row['ci_high'])}"
     text += f", d_z = {number(row['dz'], 2)}"
     return f"{result.test.name}, {text} (family of {len(result.table)})."

@@ -23,7 +23,7 @@ from analysis.bids_check import check_bids
 from analysis.exclusions import apply_exclusions, rules_of
 from analysis.gaze import validated_accuracy_dva
 from analysis.protocol_facts import lab_of, screen_of, title_of
-from analysis.sessions import Session, combine, read_gaze, read_self_answers, read_sessions
+from analysis.sessions import Session, combine, group_text, read_gaze, read_self_answers, read_sessions
 from stimuli.errors import InputError, problem
 
 BIDS_VERSION = "1.11.0"
@@ -113,7 +113,7 @@ def _participants(folder: Path, sessions: Sequence[Session], labels: Mapping[str
     rows: dict[str, dict[str, Any]] = {}
     for session in sessions:
         row = {"participant_id": f"sub-{labels[session.participant]}", "observer_kind": session.observer_kind}
-        row["group"] = session.header.get("group") or "n/a"
+        row["group"] = group_text(session.header) or "n/a"
         row |= {name: value if str(value) else "n/a" for name, value in read_self_answers(session).items()}
         rows.setdefault(session.participant, {}).update(row)
     table = pd.DataFrame(list(rows.values()))

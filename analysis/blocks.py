@@ -84,11 +84,11 @@ def number(value: float, digits: int) -> str:
     return text.replace("-", "−")
 
 
-def p_text(p: float, log10_p: float | None = None) -> str:
-    """APA: '.034', '< .001'; the power of ten where p underflowed."""
+def p_text(p: float) -> str:
+    """APA: '.034', '< .001', '> .999'."""
     if p < 0.001:
         return "< .001"
-    return f"{p:.3f}".removeprefix("0") if p < 0.9995 else "1.000"
+    return f"{p:.3f}".removeprefix("0") if p < 0.9995 else "> .999"
 
 
 def written(value: Any, form: str) -> str:

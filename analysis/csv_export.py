@@ -16,7 +16,7 @@ from analysis.exclusions import Exclusions, apply_exclusions, rules_of
 from analysis.plan import likert_questions, within_factors
 from analysis.quality import key_mapping
 from analysis.r_script import r_script
-from analysis.sessions import Session, combine, read_flips, read_gaze, read_self_answers, read_sessions
+from analysis.sessions import Session, combine, group_text, read_flips, read_gaze, read_self_answers, read_sessions
 from protocols.records import FLIP_DTYPE, GAZE_DTYPE, MAX_PANELS
 from stimuli.errors import InputError, problem
 
@@ -65,7 +65,7 @@ def participants_table(sessions: Sequence[Session], exclusions: Exclusions) -> p
         row = rows.setdefault(session.participant, {"participant": session.participant})
         row["observer_kind"] = session.observer_kind
         row["observer"] = session.header.get("observer")
-        row["group"] = session.header.get("group")
+        row["group"] = group_text(session.header)
         row["keys"] = key_mapping(session)
         row["sessions"] = int(row.get("sessions", 0)) + 1
         row.setdefault("started_utc", session.header.get("started_utc"))

@@ -37,7 +37,8 @@ def plan_of(sessions: Sequence[Session], kept: pd.DataFrame) -> Plan:
     stated = next(iter(plans.values()), None) or {}
     tests = tuple(_test(one, index) for index, one in enumerate(stated.get("tests") or []))
     alpha, adjust = float(stated.get("alpha", 0.05)), str(stated.get("adjust", "holm"))
-    return Plan(tests or derived_tests(kept, sessions), alpha, adjust, bool(tests))
+    scales = {name: (int(one["low"]), int(one["high"])) for name, one in likert_questions(sessions).items()}
+    return Plan(tests or derived_tests(kept, sessions), alpha, adjust, bool(tests), scales)
 
 
 def _test(given: Mapping[str, Any], index: int) -> Test:

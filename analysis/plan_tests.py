@@ -108,7 +108,8 @@ def _with_n(table: pd.DataFrame, n: int) -> pd.DataFrame:
 
 
 def _likert_summary(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.DataFrame:
-    scale = (int(own[dv].min()), int(own[dv].max()))
+    question = str(test.options.get("question") or next(iter(plan.scales), ""))
+    scale = plan.scales.get(question, (int(own[dv].min()), int(own[dv].max())))
     return analysis.likert_summary(own, dv=dv, by=list(test.within) or ["condition"], scale=scale)
 
 

@@ -42,12 +42,14 @@ class Result:
 
 @dataclass(frozen=True)
 class Plan:
-    """``stated``: False where it was derived from the design, since the study had none."""
+    """``stated``: False where it was derived from the design, since the study had none; ``scales``: lowest and highest
+    answer of each Likert question."""
 
     tests: tuple[Test, ...]
     alpha: float
     adjust: str
     stated: bool
+    scales: Mapping[str, tuple[int, int]] = field(default_factory=dict)
 
 
 def column_of(table: pd.DataFrame, name: str, test: Test) -> pd.Series:

@@ -19,7 +19,7 @@ from analysis.plan import catch_table, likert_questions, within_factors
 from analysis.planned_test import Plan, Result
 from analysis.protocol_facts import replication_of
 from analysis.rows import rows_of_table
-from analysis.sessions import Session
+from analysis.sessions import Session, group_text
 from analysis.timing import Timing, overrides
 from analysis.within_means import cell_means
 
@@ -29,7 +29,7 @@ FEW_SCENES = 6
 def participants_section(exclusions: Exclusions, sessions: Sequence[Session]) -> dict[str, Any]:
     """Who took part, who and what was left out, and why."""
     people = exclusions.participants.copy()
-    groups = {session.participant: session.header.get("group") for session in sessions}
+    groups = {session.participant: group_text(session.header) for session in sessions}
     people["group"] = [groups.get(person) for person in people["participant"]]
     blocks = [words_block(apa.reason_sentence(exclusions.reasons, people))]
     rules = "; ".join(f"{rule.name} (limit {rule.limit:g}, {rule.of})" for rule in exclusions.rules)
@@ -121,10 +121,14 @@ def preference_section(kept: pd.DataFrame, checks: pd.DataFrame) -> tuple[dict[s
     pairs["pooled"] = [f"{row.pooled_k} of {row.pooled_n} ({row.pooled_share:.0%})" for row in rows_of_table(pairs)]
     conditions = conditions_of(chosen)
     wins = win_matrix(chosen, conditions)
-    unit = "the participant is the unit; answers pooled over participants are description only"
+    unit, hidden = "the participant is the unit; answers pooled over participants are description only", {"unit"}
     if (pairs["unit"] != "participants").all():
         unit = "one answer a participant, exact binomial test with Clopper-Pearson intervals"
-    blocks = [table_block("pairs", f"Choices by pair ({unit})", pairs, shown.PAIRS)]
+        hidden = {"unit", "pooled"}
+    elif (pairs["unit"] != "participants").any():
+        hidden = set()
+    columns = tuple(column for column in shown.PAIRS if column[0] not in hidden)
+    blocks = [table_block("pairs", f"Choices by pair ({unit})", pairs, columns)]
     rows = [
         {"label": f"{r.a} over {r.b}", "share": r.share, "low": r.exact_low, "high": r.exact_high}
         for r in rows_of_table(pairs)
@@ -280,7 +284,7 @@ def tests_section(results: Sequence[Result], plan: Plan, kept: pd.DataFrame) -> 
     scenes = kept["scene"].nunique()
     if scenes < FEW_SCENES:
         blocks.append(
-            words_block(f"{scenes} scene(s): the results hold for these scenes only; scenes are no random sample.")
+            words_block(f"{scenes} scene{'s' if scenes != 1 else ''}: the results hold for these scenes only.")
         )
     for place, result in enumerate(results):
         hypothesis = result.test.options.get("hypothesis")
@@ -291,8 +295,8 @@ def tests_section(results: Sequence[Result], plan: Plan, kept: pd.DataFrame) -> 
         )
         leading = [(name, name, "text") for name in result.test.separately_by]
         columns = [*leading, ("effect", "effect", "text"), *shown.RESULT_COLUMNS.get(result.test.test, ())]
-        if result.test.test == "likert_summary":
-            columns = [(c, c, "text" if result.table[c].dtype == object else "f2") for c in result.table.columns[:-2]]
+        if result.test.test == "likert_summary" and "n" in result.table:
+            columns = _summary_columns(result.table)
         blocks.append(table_block(f"test-{place + 1}", head, result.table, columns, note))
         blocks.append(words_block(*apa.sentences(result), kind="sentences"))
     return section(
@@ -326,6 +330,15 @@ def design_blocks(sessions: Sequence[Session]) -> list[Block]:
             table_block("replication", f"{what.capitalize()} of {repeated.get('of')}: deviations", deviations, columns)
         )
     return blocks
+
+
+def _summary_columns(table: pd.DataFrame) -> list[tuple[str, str, str]]:
+    """Likert summaries: the levels, then n, moments, and the share of every category."""
+    forms = {"n": "int", "mean": "f2", "sd": "f2", "median": "f1"}
+    shares = [c for c in table.columns if c.startswith("share_")]
+    forms |= dict.fromkeys([*shares, "disagree", "neutral", "agree"], "pct0")
+    names = [column for column in table.columns if column not in ("status", "note")]
+    return [(name, name.removeprefix("share_").replace("-", "−"), forms.get(name, "text")) for name in names]
 
 
 def gaze_section(gaze: Gaze | None) -> dict[str, Any] | None:

@@ -7,6 +7,7 @@ stands in the columns ``excluded`` and ``reason``.
 from __future__ import annotations
 
 import json
+import re
 import sqlite3
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -91,7 +92,7 @@ def session_paths(data: Iterable[str | Path]) -> list[Path]:
     problems: list[str] = []
     for entry in map(Path, data):
         if entry.is_dir():
-            inside = sorted(entry.glob("*.sqlite"))
+            inside = sorted(entry.glob("*.sqlite"), key=_natural)
             found += inside
             if not inside:
                 problems.append(problem(entry, "no session file", "a folder without *.sqlite", "session files"))
@@ -104,6 +105,19 @@ def session_paths(data: Iterable[str | Path]) -> list[Path]:
     if not found:
         raise InputError(problem("sessions", "no data", "no path", "session files or folders of them"))
     return list(dict.fromkeys(found))
+
+
+def _natural(path: Path) -> list[tuple[int, str]]:
+    """Sort key by which p2 comes before p10."""
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", path.name)]
+
+
+def group_text(header: Mapping[str, Any]) -> str | None:
+    """The participant's between-participants group in words ('factor=level'); None where the design has none."""
+    group = header.get("group")
+    if isinstance(group, Mapping):
+        return " ".join(f"{name}={level}" for name, level in sorted(group.items())) or None
+    return str(group) if group else None
 
 
 def _connect(path: Path) -> sqlite3.Connection:
@@ -189,7 +203,7 @@ def _trial_row(header: Mapping[str, Any], trial: Mapping[str, Any], answers: Seq
     row: dict[str, Any] = {
         "participant": str(header["participant"]),
         "run": header.get("run", 1),
-        "group": header.get("group"),
+        "group": group_text(header),
         "observer_kind": header["observer_kind"],
         "study": header.get("study", ""),
         "trial": trial["trial"],
@@ -214,7 +228,9 @@ def _trial_row(header: Mapping[str, Any], trial: Mapping[str, Any], answers: Seq
     }
     for panel in panels:
         row[f"slot_{panel['slot']}"] = panel["condition"]
-    for name, level in json.loads(trial["factors"]).items():
+    between = header.get("group")
+    levels = {**(between if isinstance(between, Mapping) else {}), **json.loads(trial["factors"])}
+    for name, level in levels.items():
         column = name if name in _FACTORS_THAT_WIN or name not in row else f"factor_{name}"
         row[column] = level
     row.update(_answer_columns(shown, answers))
