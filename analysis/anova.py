@@ -100,7 +100,7 @@ def oneway_anova(table: pd.DataFrame, dv: str, between: str, eta2_level: float =
         ss = math.fsum(len(part) * (mean - grand) ** 2 for part, mean in zip(parts, means, strict=True))
         within = [part - mean for part, mean in zip(parts, means, strict=True)]
         ss_error = math.fsum(math.fsum(d * d) - math.fsum(d) ** 2 / len(d) for d in within)
-        row |= _f_test(ss, ss_error, k - 1, n - k, rounding**2 * n, scale**2)
+        row |= _f_test(ss, ss_error, k - 1, n - k, rounding**2 * n, scale * scale)
         row["eta2"] = row.pop("eta2_partial")
         row["eta2_low"], row["eta2_high"] = eta2_interval(row["F"], k - 1, n - k, eta2_level)
     if n == 0 or n - k < 1:
@@ -120,7 +120,7 @@ def _f_test(ss: float, ss_error: float, df1: int, df2: int, zero: float, unit: f
     """F and its p from scaled sums of squares; ``zero``: what counts as no variance; ``unit``: scale squared."""
     nothing, no_error = not ss > zero, not ss_error > zero
     ss, ss_error = max(ss, 0.0), max(ss_error, 0.0)
-    row: dict[str, Any] = {"ss": ss * unit, "ss_error": ss_error * unit}
+    row: dict[str, Any] = {"ss": ss * unit if ss else 0.0, "ss_error": ss_error * unit if ss_error else 0.0}
     if df1 < 1 or df2 < 1:
         return row | {"F": math.nan, "p": math.nan, "log10_p": math.nan, "eta2_partial": math.nan}
     if no_error and nothing:
@@ -196,7 +196,7 @@ def rm_anova(
     cells = cell_means("rm_anova", table, dv, factors, subject, groups)
     rows = anova_of_cells(
         cells.values, cells.levels, factors, cells.groups, cells.group_levels, groups, cells.rounding,
-        unit=cells.scale**2, eta2_level=eta2_level,
+        unit=cells.scale * cells.scale, eta2_level=eta2_level,
     )  # fmt: skip
     n = len(cells.subjects)
     method = (
@@ -344,4 +344,4 @@ def _finish(row: dict[str, Any], total_error: float, unit: float, level: float) 
             # The same noncentrality as a sum of squares, put over all error.
             effect = ss_error * bound / (1 - bound) if bound < 1 else ss
             row[f"eta2_generalized_{name}"] = effect / (effect + total_error) if effect + total_error > 0 else math.nan
-    row["ss"], row["ss_error"] = ss * unit, ss_error * unit
+    row["ss"], row["ss_error"] = (value * unit if value else value for value in (ss, ss_error))

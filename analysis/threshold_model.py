@@ -86,7 +86,7 @@ def point_terms(
     a: np.ndarray, b: np.ndarray, no_upper: np.ndarray, no_lower: np.ndarray, link: str
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """log P, its derivatives by a and b, and second ones (aa, bb, ab)."""
-    far = 40.0 if link != "cloglog" else 600.0
+    far = {"logit": 40.0, "probit": 37.0, "cloglog": 600.0}[link]
     a, b = np.clip(a, -far, far), np.clip(b, -far, far)
     fa, qa, da, ca = _distribution(a, link)
     fb, qb, db, cb = _distribution(b, link)
@@ -96,8 +96,10 @@ def point_terms(
     fb, qb = np.where(no_lower, 0.0, fb), np.where(no_lower, 1.0, qb)
     # The difference on the side where it keeps its digits.
     p = np.maximum(np.where(fb > 0.5, qb - qa, fa - fb), 1e-300)
-    ga, gb = da / p, -db / p
-    return np.log(p), ga, gb, ca / p - ga * ga, -cb / p - gb * gb, -ga * gb
+    # Where an impossible bound leaves no probability the slopes stay large but finite.
+    ga, gb = np.minimum(da / p, 1e50), -np.minimum(db / p, 1e50)
+    above, below = np.clip(ca / p, -1e100, 1e100), np.clip(cb / p, -1e100, 1e100)
+    return np.log(p), ga, gb, above - ga * ga, -below - gb * gb, -ga * gb
 
 
 def separation_direction(bounds: Bounds) -> np.ndarray | None:
