@@ -11,6 +11,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+from protocols.conditions import Gaze
 from protocols.design import plan
 from protocols.load import library_path, read_study
 from protocols.study import Study
@@ -24,6 +25,7 @@ from studyapp.display.choose import open_display
 from studyapp.display.virtual_display import VirtualDisplay
 from studyapp.gaze.angles import ScreenGeometry
 from studyapp.gaze.before_session import check_gaze
+from studyapp.gaze.fixation import FixationWatch
 from studyapp.inclusion import answers_about_self
 from studyapp.lab_file import Lab, find_lab, photometry_age_warning
 from studyapp.manifest_source import Manifests
@@ -57,6 +59,7 @@ class RunRequest:
     seed: int | None = None
     overrides: Mapping[str, str] = field(default_factory=dict)
     about: Mapping[str, str] = field(default_factory=dict)
+    markers: str = ""
     pids: Path | None = None
 
 
@@ -152,7 +155,7 @@ def _run(request: RunRequest, ready: Prepared) -> RunDone:
         again = interrupted(before.path, sha256_text(ready.text))
         path, run, progress, trials = before.path, int(before.header["run"]), again.progress, before.plan
         seed = int(before.header["seed"])
-    log = DurableLog(path, devices.streams, flip_seconds=STREAM_RING_FLIP_S)
+    log = DurableLog(path, devices.streams, flip_seconds=STREAM_RING_FLIP_S, markers=request.markers)
     try:
         respondent: Respondent = Person(devices.answers.name)
         if request.simulated:
@@ -178,14 +181,18 @@ def _run(request: RunRequest, ready: Prepared) -> RunDone:
             if isinstance(ready.sources, StoredSources) and trial.panels:
                 for payload, frames in ready.sources.live_logs(number):
                     log.event("live", "frames", payload, frames)
+            if runner.fixation is not None:
+                log.event("eyes", "fixation", json.dumps(fixation_record(study.gaze, trial, number, runner)))
 
         presenter = Presenter(
             ready.display, log, geometry=_view_geometry(study, ready.lab), abort_keys=frozenset({"escape"})
         )
-        rules = Rules(study.timing.miss_policy, study.timing.max_missed)
+        rules = Rules(study.timing.miss_policy, study.timing.max_missed, study.gaze.fixation_limit_deg)
         # The virtual display leaps over refreshes: there is nothing to look at in between.
-        gaze = None if isinstance(ready.display, VirtualDisplay) else devices.gaze
-        runner = TrialRunner(presenter, devices.answers, respondent, rules, gaze)
+        watched = None
+        if devices.gaze is not None and not isinstance(ready.display, VirtualDisplay):
+            watched = FixationWatch(devices.gaze)
+        runner = TrialRunner(presenter, devices.answers, respondent, rules, watched)
         session = Session(log, runner, ready.sources, devices.reconnect, study.timing.requeue, on_trial, before_commit)
         shown = session.run(trials, progress)
         for row in ready.clip_rows():
@@ -194,6 +201,20 @@ def _run(request: RunRequest, ready: Prepared) -> RunDone:
         return RunDone(path, shown, counted["answers"], statistics.lost)
     finally:
         log.close()
+
+
+def fixation_record(limits: Gaze, trial: Trial, number: int, runner: TrialRunner) -> dict[str, Any]:
+    """What the session keeps of a trial's gaze, JSON-ready; ``flagged``: fixated, and gaze strayed or drifted."""
+    seen, drift = runner.fixation, runner.drift
+    assert seen is not None
+    strayed = not seen.worst_deg <= limits.fixation_limit_deg
+    drifted = drift is not None and not drift.within(limits.drift_deg)
+    record = {
+        "trial": number, "outside": seen.outside, "worst_deg": seen.worst_deg, "loss": seen.loss, "samples": seen.n,
+        "drift_deg": None if drift is None else drift.size_deg,
+        "flagged": trial.fixation == "fixed" and (strayed or drifted),
+    }  # fmt: skip
+    return {key: None if isinstance(value, float) and value != value else value for key, value in record.items()}
 
 
 def _first_words(log: SessionLog, ready: Prepared) -> None:

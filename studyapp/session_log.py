@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -24,6 +24,9 @@ from studyapp import clock
 from studyapp.devices.records import EVENT_RING_DTYPE, FIT_RING_DTYPE, GAZE_RING_DTYPE, events_from_ring, fits_from_ring
 from studyapp.ring import RecordRing, spawn_context
 from studyapp.session_file import EventRow, ResponseRow, SessionFile, TrialRow
+
+if TYPE_CHECKING:  # pylsl is loaded only where markers are asked for
+    from studyapp.devices.lsl import MarkerOutlet
 
 FLIP_RING_DTYPE = np.dtype([("trial", "<i8"), ("flip", FLIP_DTYPE)])
 POLL_S = 0.05
@@ -116,10 +119,13 @@ class SessionLog(Protocol):
 class DurableLog:
     """The log of `run`: a writer process behind a shared-memory ring and a pipe.
 
-    Raises LogFailed where the file cannot be created or a commit fails, with SQLite's own words.
+    ``markers``: source id of an LSL stream on which the writer says each committed trial ('': none). Raises LogFailed
+    where the file cannot be created or a commit fails, with SQLite's own words.
     """
 
-    def __init__(self, path: Path, streams: StreamRings | None = None, *, flip_seconds: float = 60.0) -> None:
+    def __init__(
+        self, path: Path, streams: StreamRings | None = None, *, flip_seconds: float = 60.0, markers: str = ""
+    ) -> None:
         self.path = Path(path)
         context = spawn_context()
         self._ring = RecordRing(FLIP_RING_DTYPE, int(500 * flip_seconds))
@@ -128,7 +134,7 @@ class DurableLog:
         self._pipe, theirs = context.Pipe()
         self._process = context.Process(
             target=write_session,
-            args=(theirs, str(self.path), self._ring, streams or StreamRings()),
+            args=(theirs, str(self.path), self._ring, streams or StreamRings(), markers),
             name="session writer",
             daemon=True,
         )
@@ -302,6 +308,7 @@ class _Writer:
         self.commits = 0
         self.rows: dict[str, int] = {"flips": 0, "events": 0, "gaze": 0, "clock_fits": 0}
         self.held: list[np.ndarray] = []
+        self.markers: MarkerOutlet | None = None
 
     def drain(self) -> None:
         """Move whatever the rings hold into the open transaction (gaze is held until the commit: larger chunks)."""
@@ -339,17 +346,35 @@ class _Writer:
         self.oldest_ns = None
         self.commits += 1
 
+    def mark(self, operations: Sequence[tuple[str, tuple[Any, ...]]]) -> None:
+        """Say what was committed to other recorders, stamped with when it happened."""
+        if self.markers is None:
+            return
+        for method, arguments in operations:
+            if method == "trial":
+                row, responses = arguments
+                self.markers.send(f"onset {row.trial} {row.block}", row.onset_ns)
+                self.markers.send(f"offset {row.trial} {row.status}", row.offset_ns)
+                for response in responses:
+                    at_ns = response.press_ns if response.press_ns is not None else row.offset_ns
+                    self.markers.send(f"answer {row.trial} {response.question} {response.answer}", at_ns)
+
     @property
     def lost(self) -> int:
         rings = (self.flips, self.streams.events, self.streams.gaze, self.streams.fits)
         return sum(ring.lost for ring in rings if ring is not None)
 
 
-def write_session(pipe: Connection, path: str, flips: RecordRing, streams: StreamRings) -> None:
+def write_session(pipe: Connection, path: str, flips: RecordRing, streams: StreamRings, markers: str) -> None:
     """The writer process: runs until told to finish or until the presenter's process is gone."""
     started_ns = clock.now_ns()
     try:
         writer = _Writer(path, flips, streams)
+        if markers:
+            # Its threads are the library's own, and in this process they delay no refresh.
+            from studyapp.devices.lsl import MarkerOutlet
+
+            writer.markers = MarkerOutlet("studyapp markers", markers)
         pipe.send(("ok", None))
         _serve(pipe, writer, started_ns)
     except sqlite3.Error as error:
@@ -394,6 +419,7 @@ def _serve(pipe: Connection, writer: _Writer, started_ns: int) -> None:
                 getattr(writer.file, method)(*arguments)
             writer.commit()
             pipe.send(("ok", None))
+            writer.mark(message)
         elif clock.now_ns() >= next_commit_ns:
             writer.commit()
             next_commit_ns = clock.now_ns() + int(STREAM_COMMIT_S * 1e9)

@@ -9,6 +9,7 @@ from functools import partial
 from typing import Any, Literal, Protocol
 
 from protocols.trial import Question, Trial
+from studyapp.gaze.fixation import DriftCheck, Fixation, FixationWatch
 from studyapp.present.frame_loop import MissPolicy
 from studyapp.present.presenter import Answer, Presenter, TrialShown
 from studyapp.seams import FrameSource, GazeSource, Press, Responder
@@ -16,6 +17,7 @@ from studyapp.session_file import ResponseRow, TrialRow
 
 Status = Literal["ok", "timing_failed", "device_lost", "aborted"]
 REPLAY_KEY = "r"
+CROSS_S = 0.5  # fixation cross before a fixated stimulus
 
 
 class AnswerDevice(Responder, Protocol):
@@ -69,6 +71,7 @@ class Rules:
 
     miss_policy: MissPolicy = "hold"
     max_missed: int = 0
+    fixation_limit_deg: float = 3.0
     right: str = "Right."
     wrong: str = "Not this time."
 
@@ -95,10 +98,17 @@ class TrialRunner:
     respondent: Respondent
     rules: Rules
     gaze: GazeSource | None = None
+    drift: DriftCheck | None = None
+    fixation: Fixation | None = None
 
     def run(self, trial: Trial, sources: Mapping[str, FrameSource], number: int, attempt: int) -> TrialDone:
-        """Show ``trial`` as presentation ``number``, ask its questions, return its rows."""
+        """Show ``trial`` as presentation ``number``, ask its questions, return its rows.
+
+        Where `gaze` is a FixationWatch, ``drift`` (on the cross before a fixated stimulus) and ``fixation`` hold what
+        was seen of the last trial; None where there was nothing to see.
+        """
         self.respondent.begins(trial, attempt)
+        self.drift = self.fixation = None
         if not trial.panels:
             return self._words(trial, number, attempt)
         settings = trial.settings
@@ -107,7 +117,10 @@ class TrialRunner:
         if iti_s > 0:
             self.presenter.rest(iti_s, None, cross=trial.fixation == "fixed")
         during = settings.get("response") == "during" and bool(trial.questions)
+        if isinstance(self.gaze, FixationWatch):
+            self.gaze.begin()
         shown, first = self._show(trial, sources, during)
+        self._look_back(trial)
         answers: dict[str, Answer] = {} if first is None else {trial.questions[0].name: first}
         if not (shown.aborted or shown.device_lost):
             self._ask_rest(trial, sources, answers)
@@ -135,7 +148,7 @@ class TrialRunner:
                 self.respondent.asked(trial, question, onset_ns, during=True)
 
         gap_s = float(trial.settings.get("interval_gap_s", 0.5))
-        cross_s = 0.5 if trial.fixation == "fixed" else 0.0
+        cross_s = CROSS_S if trial.fixation == "fixed" else 0.0
         if question is None:
             shown = self.presenter.play(
                 trial, sources, self.device, miss_policy=self.rules.miss_policy, gap_s=gap_s, cross_s=cross_s,
@@ -149,6 +162,14 @@ class TrialRunner:
         )  # fmt: skip
         meaning = None if shown.press is None else question.keys.get(shown.press.key)
         return shown, Answer(meaning, shown.press, shown.onset_ns, shown.offset_ns, timed_out=shown.press is None)
+
+    def _look_back(self, trial: Trial) -> None:
+        """How gaze behaved while the pictures were up."""
+        if not isinstance(self.gaze, FixationWatch):
+            return
+        if trial.fixation == "fixed":
+            self.drift = self.gaze.first(round(CROSS_S * float(self.presenter.display.nominal_hz)))
+        self.fixation = self.gaze.result(self.rules.fixation_limit_deg)
 
     def _ask_rest(self, trial: Trial, sources: Mapping[str, FrameSource], answers: dict[str, Answer]) -> None:
         allowed = int(trial.settings.get("replays", 0))

@@ -7,6 +7,7 @@ complete. What had been committed at the kill is read from the file a moment bef
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import random
@@ -84,7 +85,9 @@ def one_round(folder: Path, victim: str, after_s: float) -> Round:
     path = folder / "killed_p1_1.sqlite"
     before = _rows(path)
     if process.poll() is None:
-        os.kill(pids[victim], signal.SIGKILL)
+        # A session that has just ended has no process left to kill.
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(pids[victim], signal.SIGKILL)
     process.communicate()
     problems: list[str] = []
     try:

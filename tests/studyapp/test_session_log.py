@@ -9,6 +9,7 @@ import sqlite3
 import subprocess
 import sys
 import time
+import uuid
 from pathlib import Path
 
 import numpy as np
@@ -225,3 +226,23 @@ def test_a_folder_that_cannot_be_written_is_a_clear_stop() -> None:
     for kind in (DurableLog, DirectLog):
         with pytest.raises(LogFailed, match="unable to open"):
             kind(Path("/proc/nowhere.sqlite"))
+
+
+def test_markers_say_each_committed_trial_with_its_own_stamp(tmp_path: Path) -> None:
+    pylsl = pytest.importorskip("pylsl")
+    from studyapp.devices.lsl import keep_to_this_machine
+
+    keep_to_this_machine()
+    source = f"markers-{uuid.uuid4()}"
+    log = DurableLog(tmp_path / "s.sqlite", markers=source)
+    try:
+        (info,) = pylsl.resolve_byprop("source_id", source, 1, 20.0)
+        inlet = pylsl.StreamInlet(info)
+        inlet.open_stream(10.0)
+        log.commit_trial(trial_row(0), [response(0)])
+        said = [inlet.pull_sample(timeout=10.0) for _ in range(3)]
+    finally:
+        log.close()
+    assert [text for (text,), _ in said] == ["onset 0 main", "offset 0 ok", "answer 0 q 2"]
+    stamps = [stamp for _, stamp in said]
+    assert stamps[1] - stamps[0] == pytest.approx(10e-9, abs=1e-6)
