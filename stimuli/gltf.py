@@ -16,6 +16,7 @@ import numpy as np
 from stimuli.errors import InputError, problem
 from stimuli.gltf_animation import Channel, NodeTrack, Rig, RigNode, compose, unit
 from stimuli.gltf_buffers import Document, open_document
+from stimuli.gltf_lights import punctual_light
 from stimuli.gltf_materials import MaterialReader
 from stimuli.gltf_meshes import ReadPrimitive, read_primitive
 from stimuli.gltf_skins import SkinTrack
@@ -231,7 +232,9 @@ class _Reader:
             self._read_camera(node, entry["camera"])
         light = entry.get("extensions", {}).get("KHR_lights_punctual", {}).get("light")
         if light is not None:
-            self._read_light(node, light)
+            animated, below = self._anchor[node]
+            track = None if animated < 0 else NodeTrack(self._rig, animated, below)
+            self._content.lights.append(punctual_light(self._document, light, below, track))
 
     def _read_mesh_node(self, node: int, entry: dict[str, Any]) -> None:
         animated, below = self._anchor[node]
@@ -240,11 +243,26 @@ class _Reader:
             if "skin" in entry and primitive.joints is not None:
                 self._read_skinned(name, primitive, entry["skin"])
                 continue
-            key = id(primitive), mirrored
-            if key not in self._arrays:
-                self._arrays[key] = primitive.as_pyrender(mirrored)
-            part = Part(name, self._arrays[key], primitive.material, below, primitive.positions64)
-            (self._content.static if animated < 0 else self._parts.setdefault(animated, [])).append(part)
+            target = self._content.static if animated < 0 else self._parts.setdefault(animated, [])
+            for copy in self._instances(entry):
+                flip = mirrored != bool(np.linalg.det(copy[:3, :3]) < 0.0)
+                key = id(primitive), flip
+                if key not in self._arrays:
+                    self._arrays[key] = primitive.as_pyrender(flip)
+                target.append(Part(name, self._arrays[key], primitive.material, below @ copy, primitive.positions64))
+
+    def _instances(self, entry: dict[str, Any]) -> np.ndarray:
+        """(I, 4, 4) matrices of EXT_mesh_gpu_instancing; one identity where the node has none."""
+        attributes = entry.get("extensions", {}).get("EXT_mesh_gpu_instancing", {}).get("attributes", {})
+        given = {key: self._document.array(attributes[key.upper()]) for key in _REST if key.upper() in attributes}
+        if not given:
+            return np.eye(4)[None]
+        count = len(next(iter(given.values())))
+        parts = {key: given.get(key, np.tile(rest, (count, 1))) for key, rest in _REST.items()}
+        if any(values.shape != (count, _WIDTH[key]) for key, values in parts.items()):
+            got = ", ".join(f"{key} {values.shape}" for key, values in parts.items())
+            raise InputError(problem(self._document.path, "EXT_mesh_gpu_instancing", got, f"{count} of each"))
+        return compose(parts["translation"], unit(parts["rotation"]), parts["scale"])
 
     def _mesh_primitives(self, node: dict[str, Any]) -> Iterator[tuple[str, ReadPrimitive]]:
         index = node["mesh"]
@@ -312,34 +330,6 @@ class _Reader:
             self._content.camera = StillCamera(rigid(below), yfov, "file")
         else:
             self._content.camera = TrackCamera(NodeTrack(self._rig, animated, below), yfov)
-
-    def _read_light(self, node: int, index: int) -> None:
-        lights = self._document.json.get("extensions", {}).get("KHR_lights_punctual", {}).get("lights", [])
-        if not 0 <= index < len(lights):
-            raise InputError(problem(self._document.path, f"node {node} light", index, f"0 to {len(lights) - 1}"))
-        entry = lights[index]
-        kind = entry.get("type")
-        if kind not in ("point", "spot", "directional"):
-            raise InputError(problem(self._document.path, f"light {index} type", kind, "point | spot | directional"))
-        power = float(entry.get("intensity", 1.0))
-        red, green, blue = (power * float(c) for c in entry.get("color", (1.0, 1.0, 1.0)))
-        spot = entry.get("spot", {})
-        animated, below = self._anchor[node]
-        matrix = below if animated < 0 else np.eye(4)
-        facing = -_unit3(matrix[:3, 2])
-        self._content.lights.append(
-            Light(
-                kind=kind,
-                intensity=(red, green, blue),
-                position=(float(matrix[0, 3]), float(matrix[1, 3]), float(matrix[2, 3])),
-                direction=(float(facing[0]), float(facing[1]), float(facing[2])),
-                inner_rad=float(spot.get("innerConeAngle", 0.0)),
-                outer_rad=float(spot.get("outerConeAngle", np.pi / 4)),
-                range_m=float(entry.get("range", np.inf)),
-                track=None if animated < 0 else NodeTrack(self._rig, animated, below),
-                name=str(entry.get("name", f"light {index}")),
-            )
-        )
 
 
 def _unit3(vector: np.ndarray) -> np.ndarray:

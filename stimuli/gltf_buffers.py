@@ -39,6 +39,7 @@ REFUSED = {
 READ = {
     "KHR_lights_punctual",
     "KHR_materials_emissive_strength",
+    "EXT_mesh_gpu_instancing",
     "EXT_texture_webp",
     "KHR_materials_ior",
     "KHR_materials_pbrSpecularGlossiness",

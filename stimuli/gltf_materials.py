@@ -48,7 +48,7 @@ def decode_image(data: bytes, where: str) -> np.ndarray:
             if image.mode.startswith("I;16"):
                 return np.asarray(Image.fromarray((np.asarray(image) >> 8).astype(np.uint8)).convert("RGBA"))
             return np.asarray(image.convert("RGBA"))
-    except (UnidentifiedImageError, OSError, SyntaxError, ValueError) as error:
+    except (UnidentifiedImageError, Image.DecompressionBombError, OSError, SyntaxError, ValueError) as error:
         raise InputError(problem(where, "image", str(error), "a PNG or JPEG that can be decoded")) from error
 
 

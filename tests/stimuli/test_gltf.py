@@ -455,3 +455,21 @@ def test_specular_glossiness_keeps_its_diffuse_colour_and_picture(tmp_path: Path
     assert (pbr.metallicFactor, pbr.roughnessFactor) == (0.0, 0.75)
     assert pbr.baseColorTexture is not None
     assert any("specular-glossiness" in note for note in scene.notes)
+
+
+def test_instances_of_a_mesh_stand_where_their_accessors_say_and_mirrored_ones_are_turned(tmp_path: Path) -> None:
+    glb = TinyGlb()
+    mesh = glb.mesh(TRIANGLE)
+    attributes = {
+        "TRANSLATION": glb.accessor([[1, 0, 0], [2, 0, 0], [3, 0, 0]]),
+        "SCALE": glb.accessor([[1, 1, 1], [2, 2, 2], [1, -1, 1]]),
+    }
+    glb.node(mesh=mesh, translation=[0, 10, 0], extensions={"EXT_mesh_gpu_instancing": {"attributes": attributes}})
+    parts = load_scene(glb.write(tmp_path)).static
+    assert [part.matrix[:3, 3].tolist() for part in parts] == [[1, 10, 0], [2, 10, 0], [3, 10, 0]]
+    for part in parts:
+        a, b, c = world_triangles(part)[0]
+        assert np.cross(b - a, c - a)[2] > 0.0
+    glb.json["nodes"][0]["extensions"]["EXT_mesh_gpu_instancing"]["attributes"]["SCALE"] = glb.accessor([[1, 1, 1]])
+    with pytest.raises(InputError, match="EXT_mesh_gpu_instancing"):
+        load_scene(glb.write(tmp_path))

@@ -316,3 +316,13 @@ def test_the_robot_walks_on_its_floor_and_every_scene_closes_its_loop() -> None:
         scene = SCENES[name]()
         ends = scene.camera.pose(np.array([0.0, scene.duration_s]))
         assert np.allclose(ends[0], ends[1], atol=1e-9), name
+
+
+def test_the_toy_car_hits_nothing_on_its_way() -> None:
+    scene = SCENES["toy_car"]()
+    inverse = np.linalg.inv(scene.movers[0].track.pose(np.linspace(0.0, 8.0, 200)))
+    for part in scene.static:
+        if part.name in ("blocks", "balls", "poles"):
+            local = np.einsum("tab,nb->tna", inverse[:, :3, :3], part.positions) + inverse[:, None, :3, 3]
+            gap = np.maximum(np.abs(local[..., 0]) - 0.1, np.abs(local[..., 2]) - 0.22)
+            assert gap[local[..., 1] < 0.2].min() > 0.03, part.name
