@@ -9,17 +9,19 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+from pydantic import BaseModel, ValidationError
 
 from renderers.backend import dr
-from renderers.catalogue import CATALOGUE, TECHNIQUES
+from renderers.catalogue import CATALOGUE, TECHNIQUES, entry
 from renderers.engine import Engine
 from renderers.reference import ReferenceRenderer
 from renderers.render_clip import technique_params
@@ -174,6 +176,35 @@ def gaze_of(request: ClipRequest, scene: Scene, camera: CameraPath, t1: Fraction
     return math.degrees(math.atan(x)), math.degrees(math.atan(y))
 
 
+def technique_class(name: str) -> type[Technique]:
+    """The technique called ``name`` in the catalogue, or ``module:Class`` from outside. InputError where it is not."""
+    if ":" not in name:
+        entry(name)
+        return TECHNIQUES[name]
+    module, _, attribute = name.partition(":")
+    try:
+        found: type[Technique] = getattr(import_module(module), attribute)
+    except (ImportError, AttributeError) as error:
+        raise InputError(
+            problem("technique", "module:Class", repr(name), f"one that can be imported ({error})")
+        ) from error
+    return found
+
+
+def technique_settings(name: str, params: Mapping[str, Any]) -> BaseModel:
+    """The checked parameters of a technique, from the catalogue or from outside. InputError, a line a mistake."""
+    if ":" not in name:
+        checked: BaseModel = technique_params(name, params)
+        return checked
+    try:
+        return technique_class(name).Params(**params)
+    except ValidationError as error:
+        lines = [
+            problem(f"{name}: {e['loc']}", e["msg"].lower(), repr(e["input"]), "its own Params") for e in error.errors()
+        ]
+        raise InputError(*lines) from error
+
+
 class ClipRenderer:
     """Renders units; the scene and the engine of the last clip stay, so that a clip's units share their kernels."""
 
@@ -207,8 +238,9 @@ class ClipRenderer:
         if key not in self._techniques:
             if not any(kept == request.identity for kept, _ in self._techniques):
                 self._techniques.clear()
-            params = technique_params(request.technique, request.params)
-            self._techniques[key] = TECHNIQUES[request.technique](engine, request.size_px, params, seed, "total")
+            params = technique_settings(request.technique, request.params)
+            made = technique_class(request.technique)
+            self._techniques[key] = made(engine, request.size_px, params, seed, "total")
         self._techniques[key].reset(seed)
         return self._techniques[key]
 
@@ -216,12 +248,12 @@ class ClipRenderer:
         """The frames of ``unit``: see `renderers.render_unit.UnitRenderer`."""
         request = job.request
         scene, camera, engine = self._prepared(job)
-        entry = CATALOGUE[request.technique]
-        if entry.averages:
+        known = CATALOGUE.get(request.technique)
+        if known is not None and known.averages:
             yield from self._averaged(request, unit, scene, camera, engine)
             return
         technique = self._technique(request, engine, request.seed)
-        before = 0 if entry.stateless else warm_up_frames(request)
+        before = 0 if known is not None and known.stateless else warm_up_frames(request)
         for k in range(unit.first - before, unit.stop):
             view = view_of(request, scene, camera, k, before, cut=k == unit.first - before)
             frame = technique.render(view)

@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import psutil
 
@@ -20,6 +21,7 @@ from protocols.load import library_path
 from protocols.requests import ClipSpec, clip_spec, clip_specs
 from protocols.study import Study
 from protocols.trial import Trial
+from renderers.catalogue import CATALOGUE
 from stimuli.camera_path import PATH_NAMES
 from stimuli.clip import Clip, ClipStore, write_json
 from stimuli.clip_job import ClipJob
@@ -27,8 +29,11 @@ from stimuli.clip_request import ENGINE_VERSION, ClipRequest
 from stimuli.encode import DisplayTable
 from stimuli.errors import InputError, problem
 from stimuli.play_cache import PlayCache, PlayedClip
-from stimuli.scene import Scene
+from studyapp.clock import now_ns
 from studyapp.commands.check import find_scene
+
+if TYPE_CHECKING:
+    from stimuli.scene import Scene
 
 IMPORTED = "imported:"
 
@@ -99,6 +104,9 @@ def resolve_clips(study: Study, protocol: str | Path, store: ClipStore) -> Study
         if spec.exposure is None and spec.scene not in exposures:
             exposures[spec.scene] = settled_exposure(draft, scene, store)
         request = spec.request(scene.sha256, exposures.get(spec.scene, 1.0), _technique_sha256(spec.technique))
+        known_technique = CATALOGUE.get(spec.technique)
+        if known_technique is not None and known_technique.stateless:
+            request = replace(request, warm_up_s="0")  # it does nothing there, and clips are made once
         requests[spec] = request
         jobs.append(replace(draft, request=request))
     if problems:
@@ -210,11 +218,32 @@ def sources_for(trial: Trial, store: ClipStore, table: DisplayTable | None = Non
         if not cache.path(clip).is_file():
             store.open_verified(clip.identity)  # what is encoded was checked byte by byte
         played[slot] = cache.played(clip)
-    if problems := memory_problems(list(played.values())):
+    problems = memory_problems(list(played.values()))
+    if problems and not disk_is_fast_enough(list(played.values())):
         raise InputError(*problems)
-    for source in played.values():
+    for source in [] if problems else played.values():
         source.touch()
     return played
+
+
+def disk_is_fast_enough(sources: Sequence[PlayedClip], sample_bytes: int = 1 << 28) -> bool:
+    """Whether the disk, measured now on the largest of the files, reads at twice the rate that playing all needs."""
+    needed = sum(s.byte_count / s.frame_count * float(s.rate_hz) for s in sources)
+    largest = max(sources, key=lambda source: source.byte_count)
+    return measured_read_rate(largest.path, sample_bytes) >= 2 * needed
+
+
+def measured_read_rate(path: Path, sample_bytes: int) -> float:
+    """Bytes a second that the disk gives, read from the end of ``path`` after the system was told to forget it."""
+    with open(path, "rb", buffering=0) as file:
+        size = min(sample_bytes, os.fstat(file.fileno()).st_size)
+        os.fsync(file.fileno())
+        os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
+        file.seek(-size, os.SEEK_END)
+        began, left = now_ns(), size
+        while left > 0 and (data := file.read(min(left, 1 << 24))):
+            left -= len(data)
+        return (size - left) / max(now_ns() - began, 1) * 1e9
 
 
 def memory_problems(sources: Sequence[PlayedClip], available_bytes: int | None = None) -> list[str]:

@@ -150,3 +150,17 @@ def test_moving_gaze_is_the_direction_of_the_scenes_target(scene):
 def test_channels_that_a_technique_lacks_are_refused(scene):
     with pytest.raises(InputError, match="channels"):
         list(ClipRenderer(None).frames(job(scene, extra={"channels": ["samples"]}), Unit(0, 1)))
+
+
+def test_technique_from_outside_the_tree_is_rendered_as_one_unit(scene, tmp_path):
+    outside = job(scene, "renderers.vanilla:Vanilla", warm_up_s="0")
+    assert units_of(outside.request) == (Unit(0, 4),)
+    renderer = ClipRenderer(None)
+    theirs = [frame.blocks[0] for frame in renderer.frames(outside, Unit(0, 4))]
+    ours = [frame.blocks[0] for frame in renderer.frames(job(scene), Unit(0, 4))]
+    np.testing.assert_array_equal(theirs, ours)
+    for name, text in (("no.such:Class", "can be imported"), ("renderers.vanilla:Nothing", "can be imported")):
+        with pytest.raises(InputError, match=text):
+            list(ClipRenderer(None).frames(job(scene, name), Unit(0, 1)))
+    with pytest.raises(InputError, match="own Params"):
+        list(ClipRenderer(None).frames(job(scene, "renderers.vanilla:Vanilla", params={"spp": 3}), Unit(0, 1)))

@@ -16,6 +16,7 @@ from stimuli.errors import InputError
 from studyapp.cli import main
 from studyapp.clips import (
     luminance_problems,
+    measured_read_rate,
     memory_problems,
     resolve_clips,
     sources_for,
@@ -87,6 +88,24 @@ def test_rendered_clips_are_those_of_the_plans_trials(rendered):
     assert memory_problems(list(sources.values())) == []
     (line,) = memory_problems(list(sources.values()), available_bytes=1000)
     assert "free memory" in line
+
+
+def test_clips_too_large_for_memory_play_from_a_disk_that_is_twice_as_fast(rendered, monkeypatch):
+    study, store = load_study(rendered), store_of(rendered)
+    clips = resolve_clips(study, rendered, store)
+    (trial,) = [with_clips(study, trial, clips) for trial in plan(study, 1) if trial.panels]
+    needed = 16 * 12 * 4 * (240 + 240 + 120)  # bytes a second of the three panels
+    monkeypatch.setattr("studyapp.clips.memory_problems", lambda sources: ["does not fit"])
+    monkeypatch.setattr("studyapp.clips.measured_read_rate", lambda path, size: 2.0 * needed)
+    assert len(sources_for(trial, store)) == 3
+    monkeypatch.setattr("studyapp.clips.measured_read_rate", lambda path, size: 1.9 * needed)
+    with pytest.raises(InputError, match="does not fit"):
+        sources_for(trial, store)
+
+
+def test_read_rate_is_measured(tmp_path):
+    (tmp_path / "file").write_bytes(bytes(1 << 20))
+    assert 1e6 < measured_read_rate(tmp_path / "file", 1 << 28) < 1e12
 
 
 def test_exposure_is_the_references_and_kept(rendered):
