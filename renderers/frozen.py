@@ -7,6 +7,7 @@ zero-width argument aborts the process, so a call without lanes never reaches th
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass
 from typing import Any
@@ -15,8 +16,11 @@ import numpy as np
 
 from renderers.backend import dr, mi
 
-MAX_RECORDINGS = 8
-"""More recordings than this of one kernel mean that a changing Python value slipped in (each costs 0.1 to 1 s)."""
+MAX_RECORDINGS = 32
+"""More recordings than this of one kernel mean that a changing Python value slipped in (each costs 0.1 to 1 s).
+
+A call whose lane count happens to equal another argument's width is recorded anew too, so a few are honest.
+"""
 
 
 def plain_values(value: Any) -> str:
@@ -59,7 +63,14 @@ class Frozen:
     def __call__(self, lanes: int, *arguments: Any) -> Any:
         if lanes == 0:
             return None
-        result = self._function(*arguments)
+        # A garbage collection in the middle of a recording may free another scene or frozen kernel: Dr.Jit then aborts.
+        collecting = gc.isenabled()
+        gc.disable()
+        try:
+            result = self._function(*arguments)
+        finally:
+            if collecting:
+                gc.enable()
         if self.recordings > self.max_recordings:
             raise RuntimeError(
                 f"{self.name}: recorded {self.recordings} times; a Python value changes from call to call"

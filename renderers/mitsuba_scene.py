@@ -10,6 +10,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pyrender
 
 from renderers.backend import mi
 from renderers.frozen import opaque_float, opaque_uint
@@ -21,7 +22,8 @@ from stimuli.scene import Light, Material, Part, Phong, Scene
 
 
 def diffuse_only(scene: Scene) -> Scene:
-    """``scene`` with every material replaced by a diffuse one of its colour, without ambient light and emission."""
+    """``scene`` with every material replaced by a diffuse one of its colour (textures only where the colour is white),
+    without ambient light and emission."""
     memo: dict[int, Material] = {}
 
     def plain(material: Material) -> Material:
@@ -30,9 +32,9 @@ def diffuse_only(scene: Scene) -> Scene:
             color = tuple(float(v) for v in (np.ones(3) if factor is None else np.asarray(factor, float)[:3]))
             if material.phong is not None:
                 color = material.phong.diffuse
-            memo[id(material)] = replace(
-                material, phong=Phong((0, 0, 0), color, (0, 0, 0), 1.0), transmission=0.0, unlit=False
-            )
+            texture = material.pbr.baseColorTexture if color == (1.0, 1.0, 1.0) else None
+            pbr = pyrender.MetallicRoughnessMaterial(baseColorFactor=np.array([*color, 1.0]), baseColorTexture=texture)
+            memo[id(material)] = Material(material.name, pbr, Phong((0, 0, 0), color, (0, 0, 0), 1.0))
         return memo[id(material)]
 
     def parts(old: tuple[Part, ...]) -> tuple[Part, ...]:
@@ -67,7 +69,7 @@ def _bsdf(material: Material) -> dict[str, Any]:
 
 def _mesh(part: Part, points: np.ndarray) -> Any:
     primitive = part.primitive
-    faces = np.asarray(primitive.indices).reshape(-1, 3)
+    faces = np.asarray(primitive.indices).reshape(-1, 3).astype(np.int64)
     smooth, textured = primitive.normals is not None, primitive.texcoord_0 is not None
     properties = mi.Properties()
     properties["bsdf"] = mi.load_dict(_bsdf(part.material))

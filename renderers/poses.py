@@ -46,15 +46,24 @@ class Poses:
 
 
 def pose_matrices(
-    movers: tuple[Mover, ...], spaces: tuple[BodySpace, ...], space: TracerSpace, times_s: np.ndarray
+    movers: tuple[Mover, ...],
+    spaces: tuple[BodySpace, ...],
+    space: TracerSpace,
+    times_s: np.ndarray,
+    hide: bool = False,
 ) -> np.ndarray:
-    """(M + 1, K, 3, 4) float64 own-to-tracer matrices at ``times_s``; a body of no size is moved out of sight."""
+    """(M + 1, K, 3, 4) float64 own-to-tracer matrices at ``times_s``; a body of no size is moved out of sight.
+
+    ``hide``: so is one at the times at which it does not exist.
+    """
     out = np.zeros((len(movers) + 1, len(times_s), 3, 4))
     out[:, :, :, :3] = np.eye(3)
     world = mover_poses([mover.track for mover in movers], times_s)
     for m, own in enumerate(spaces):
         poses = own.pose(world[m], space)
         flat = np.abs(np.linalg.det(poses[..., :3])) < _LEAST_VOLUME
+        if hide:
+            flat |= (times_s < movers[m].visible_s[0]) | (times_s > movers[m].visible_s[1])
         out[m + 1] = np.where(flat[:, None, None], np.c_[np.eye(3), np.full(3, _FAR_AWAY)], poses)
     return out
 

@@ -74,6 +74,12 @@ class Hits:
     mover: np.ndarray
 
 
+def _lanes(value: Any, count: int) -> np.ndarray:
+    """A kernel's result as numpy with ``count`` lanes (constants come back with one)."""
+    array = value.numpy()
+    return np.broadcast_to(array, (*array.shape[:-1], count))
+
+
 def _mesh_scene(positions: np.ndarray, faces: np.ndarray) -> Any:
     """A Mitsuba scene of one triangle mesh (vertex normals and BSDFs are ours to do)."""
     mesh = mi.Mesh("mesh", len(positions), len(faces))
@@ -126,15 +132,16 @@ class Tracer:
         self._poses: Poses | None = None
         self._hits_kernel = frozen(self._hits, max_recordings=64)
 
-    def poses(self, times_s: np.ndarray) -> Poses:
+    def poses(self, times_s: np.ndarray, hide: bool = False) -> Poses:
         """The movers' poses at the knots ``times_s`` (K,) and, with many movers, the boxes that hold them in between.
 
-        The boxes belong to the latest interval: rays of an earlier one must have been traced before.
+        The boxes belong to the latest interval: rays of an earlier one must have been traced before. ``hide``: a mover is
+        out of sight at the knots at which it does not exist (for rays that fall on knots only).
         """
-        key = tuple(np.asarray(times_s, np.float64).tolist())
+        key = (*np.asarray(times_s, np.float64).tolist(), float(hide))
         if self._poses is None or (key != self._interval and self.scene.movers):
             movers = self.scene.movers
-            matrices = pose_matrices(movers, self.geometry.spaces, self.space, np.asarray(times_s, np.float64))
+            matrices = pose_matrices(movers, self.geometry.spaces, self.space, np.asarray(times_s, np.float64), hide)
             self._poses = poses_of(matrices, movers, np.asarray(times_s, np.float64))
             if self.uses_proxy:
                 boxes = swept_boxes(self._own_bounds, matrices[[body.mover for body in self.bodies]])
@@ -144,7 +151,7 @@ class Tracer:
                 self._proxy_values.update()
                 self.arrays.boxes = opaque_float(padded)
         elif key != self._interval:
-            self._poses = poses_of(np.tile(np.eye(3, 4), (1, len(key), 1, 1)), (), np.asarray(times_s, np.float64))
+            self._poses = poses_of(np.tile(np.eye(3, 4), (1, len(times_s), 1, 1)), (), np.asarray(times_s, np.float64))
         self._interval = key
         return self._poses
 
@@ -384,7 +391,7 @@ class Tracer:
                 mi.Vector3f(*(opaque_float(column) for column in d.T)),
                 opaque_float(now_s),
             )
-            hit_t, p, n, g, uv, m, body = (value.numpy() for value in found)
+            hit_t, p, n, g, uv, m, body = (_lanes(value, len(rows)) for value in found)
             seen = np.isfinite(hit_t)
             here = rows[seen]
             t[here] = hit_t[seen].astype(np.float64) / self.space.scale
@@ -398,12 +405,16 @@ class Tracer:
         """Poses whose knots are these moments themselves, and each ray's kernel time that falls on its knot."""
         knots = 2 if len(moments) <= 2 else _MOMENTS
         padded = np.append(moments, np.repeat(moments[-1], knots - len(moments)))
-        poses = self.poses(padded)
-        even = Poses(opaque_float(1.0 - knots), poses.forward, poses.window, knots)
+        poses = self.poses(padded, hide=True)
+        even = Poses(
+            opaque_float(1.0 - knots),
+            poses.forward,
+            opaque_float(np.tile([-np.inf, np.inf], len(self.scene.movers) + 1)),
+            knots,
+        )
         return even, (which - (knots - 1.0)).astype(np.float32)
 
     def _hits(self, arrays: SceneArrays, poses: Poses, o: Any, d: Any, time_s: Any) -> tuple[Any, ...]:
         hit = self.nearest(arrays, poses, o, d, time_s, True, coherent=False)
         s = surface_at(self, arrays, poses, hit, d, time_s, hit.valid)
-        uv = mi.Point2f(dr.select(hit.valid, s.uv.x, dr.nan), dr.select(hit.valid, s.uv.y, dr.nan))
-        return hit.t, s.point, s.normal, s.geometric, uv, s.material, dr.select(hit.valid, hit.mover, 0)
+        return hit.t, s.point, s.normal, s.geometric, s.uv, s.material, hit.mover

@@ -1,0 +1,27 @@
+"""Tile order holds every pixel once, tile by tile."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from renderers.pixels import inverse_order, pixel_centres, tile_order
+
+
+@pytest.mark.parametrize("size", [(1, 1), (8, 8), (9, 7), (64, 16), (31, 17)])
+def test_every_pixel_once_and_the_inverse_undoes_it(size: tuple[int, int]) -> None:
+    order = tile_order(*size)
+    np.testing.assert_array_equal(np.sort(order), np.arange(size[0] * size[1]))
+    np.testing.assert_array_equal(order[inverse_order(order)], np.arange(order.size))
+
+
+def test_the_first_64_lanes_are_the_first_tile() -> None:
+    order = tile_order(20, 20)[:64]
+    assert (order % 20).max() == 7
+    assert (order // 20).max() == 7
+
+
+def test_centres_are_at_a_half() -> None:
+    x, y = pixel_centres(np.array([0, 19, 20]), 20)
+    np.testing.assert_array_equal(x, [0.5, 19.5, 0.5])
+    np.testing.assert_array_equal(y, [0.5, 0.5, 1.5])
