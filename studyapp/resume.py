@@ -97,6 +97,24 @@ def _progress(db: sqlite3.Connection, path: Path, header: dict[str, Any], plan: 
     return Interrupted(path, header, plan, Progress(frozenset(done), requeued, dict(attempts), number), lost, last_ns)
 
 
+def answers_so_far(path: Path) -> dict[int, str | None]:
+    """Planned index -> condition chosen, of the trials that are done (None: no choice was made)."""
+    db = sqlite3.connect(path)
+    try:
+        if not has_table(db, "trials"):
+            return {}
+        rows = db.execute("SELECT trial, planned FROM trials WHERE status IN ('ok', 'timing_failed') ORDER BY trial")
+        planned = dict(rows.fetchall())
+        chosen: dict[int, str | None] = dict.fromkeys(planned.values())
+        if has_table(db, "responses"):
+            for trial, name in db.execute("SELECT trial, chosen FROM responses WHERE kind='choice' ORDER BY trial"):
+                if trial in planned:
+                    chosen[planned[trial]] = name
+        return chosen
+    finally:
+        db.close()
+
+
 def _flips_without_trial(db: sqlite3.Connection, committed: set[int]) -> dict[int, np.ndarray]:
     """Flips of presentations that have no row in ``trials``."""
     if not has_table(db, "flips"):

@@ -11,6 +11,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+from protocols.adaptive import procedure
 from protocols.conditions import Gaze
 from protocols.design import plan
 from protocols.load import library_path, read_study
@@ -30,7 +31,7 @@ from studyapp.inclusion import answers_about_self
 from studyapp.lab_file import Lab, find_lab, photometry_age_warning
 from studyapp.manifest_source import Manifests
 from studyapp.present.presenter import Presenter
-from studyapp.resume import Interrupted, interrupted, mend, next_session_path, session_paths
+from studyapp.resume import Interrupted, answers_so_far, interrupted, mend, next_session_path, session_paths
 from studyapp.seams import Display
 from studyapp.session import Progress, Session, SessionStopped, Sources, finish
 from studyapp.session_devices import SessionDevices, emulated_devices, lab_devices
@@ -194,7 +195,10 @@ def _run(request: RunRequest, ready: Prepared) -> RunDone:
             watched = FixationWatch(devices.gaze)
         runner = TrialRunner(presenter, devices.answers, respondent, rules, watched)
         session = Session(log, runner, ready.sources, devices.reconnect, study.timing.requeue, on_trial, before_commit)
-        shown = session.run(trials, progress)
+        if is_adaptive(study):
+            shown = _run_adaptive(session, log, request, ready, trials, progress)
+        else:
+            shown = session.run(trials, progress)
         for row in ready.clip_rows():
             log.clip(*row)
         statistics = finish(log)
@@ -215,6 +219,29 @@ def fixation_record(limits: Gaze, trial: Trial, number: int, runner: TrialRunner
         "flagged": trial.fixation == "fixed" and (strayed or drifted),
     }  # fmt: skip
     return {key: None if isinstance(value, float) and value != value else value for key, value in record.items()}
+
+
+def _run_adaptive(
+    session: Session, log: SessionLog, request: RunRequest, ready: Prepared, trials: tuple[Trial, ...],
+    progress: Progress,
+) -> int:  # fmt: skip
+    """The trials are made as the answers come; the stored plan grows with them."""
+    known = {trial.index: trial for trial in trials} if ready.before is not None else {}
+
+    def prepare(trial: Trial) -> Trial:
+        if isinstance(ready.sources, StoredSources):
+            (trial,) = ready.sources.planned([trial])
+        known[trial.index] = trial
+        log.header({"plan": [known[index].as_dict() for index in sorted(known)]})
+        return trial
+
+    answers = {} if ready.before is None else answers_so_far(ready.before.path)
+    return session.run_procedure(procedure(ready.study, request.participant), prepare, progress, answers)
+
+
+def is_adaptive(study: Study) -> bool:
+    """Does any block learn from the answers?"""
+    return any(block.adaptive is not None for block in study.blocks)
 
 
 def _first_words(log: SessionLog, ready: Prepared) -> None:

@@ -11,6 +11,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
 
+from protocols.adaptive import Procedure
 from protocols.trial import Trial
 from studyapp import clock
 from studyapp.seams import FrameSource
@@ -68,9 +69,39 @@ class Session:
                 self._after(trial, done, queue, attempt)
         return number - progress.next_number
 
-    def show(self, trial: Trial, number: int, attempt: int = 0) -> TrialDone:
-        """One presentation outside a fixed plan (adaptive procedures), committed."""
-        return self._one(trial, number, attempt)
+    def run_procedure(
+        self,
+        procedure: Procedure,
+        prepare: Callable[[Trial], Trial],
+        progress: Progress | None = None,
+        answers: Mapping[int, str | None] | None = None,
+    ) -> int:
+        """Run a procedure that learns from the answers; returns the number of presentations.
+
+        ``answers``: planned index -> condition chosen, of trials that an interrupted session had done: the procedure is
+        sent them again, and so stands where it stood. ``prepare`` gives a trial's clips and keeps it in the stored
+        plan. A trial whose timing failed is shown again at once: what comes next hangs on its answer.
+        """
+        progress, known = progress or Progress(), answers or {}
+        number, attempts = progress.next_number, dict(progress.attempts)
+        try:
+            trial = next(procedure)
+            while True:
+                chosen = known.get(trial.index)
+                if trial.index not in progress.done:
+                    trial = prepare(trial)
+                    queue = deque([trial])
+                    while queue:
+                        trial = queue.popleft()
+                        attempt = attempts.get(trial.index, 0)
+                        attempts[trial.index] = attempt + 1
+                        done = self._one(trial, number, attempt)
+                        number += 1
+                        self._after(trial, done, queue, attempt)
+                    chosen = next((row.chosen for row in done.responses if row.kind == "choice"), None)
+                trial = procedure.send(chosen)
+        except StopIteration:
+            return number - progress.next_number
 
     def _one(self, trial: Trial, number: int, attempt: int) -> TrialDone:
         self.log.begin_trial(number)

@@ -6,8 +6,10 @@ import json
 from fractions import Fraction
 from pathlib import Path
 
+from protocols.adaptive import procedure
 from protocols.design import plan
 from protocols.load import read_study
+from protocols.trial import Trial
 from studyapp.devices.simulated import DirectPresses
 from studyapp.display.certificate import certify
 from studyapp.display.virtual_display import VirtualDisplay
@@ -62,7 +64,18 @@ class Simulation:
             sources = Manifests(study)
             rules = Rules(study.timing.miss_policy, study.timing.max_missed)
             runner = TrialRunner(Presenter(display, log), presses, respondent, rules)
-            Session(log, runner, sources, requeue=study.timing.requeue).run(trials)
+            session = Session(log, runner, sources, requeue=study.timing.requeue)
+            if any(block.adaptive is not None for block in study.blocks):
+                made: list[Trial] = []
+
+                def keep(trial: Trial) -> Trial:
+                    made.append(trial)
+                    return trial
+
+                session.run_procedure(procedure(study, participant), keep)
+                log.header({"plan": [trial.as_dict() for trial in made]})
+            else:
+                session.run(trials)
             for row in sources.rows():
                 log.clip(*row)
             finish(log)
