@@ -48,8 +48,8 @@ def block_z(ours: np.ndarray, theirs: np.ndarray, block_px: int = 8) -> np.ndarr
     return np.abs(a.mean(axis=0) - b.mean(axis=0)) / np.sqrt(variance + floor)
 
 
-def emitter_quad(corner: object, u: object, v: object, image: np.ndarray, space: Any) -> dict[str, Any]:
-    """A rectangle that emits the sRGB picture ``image`` (row 0 at v = 0), in tracer space, black otherwise."""
+def emitter_quad(corner: object, u: object, v: object, image: np.ndarray, space: Any, flip: bool) -> dict[str, Any]:
+    """A rectangle that emits the sRGB picture ``image`` (row 0 at v = 0) along u x v, or against it (``flip``); tracer space."""
     corner, u, v = (np.asarray(value, float) for value in (corner, u, v))
     points = space.points(np.array([corner, corner + u, corner + u + v, corner + v]))
     properties = mi.Properties()
@@ -61,7 +61,7 @@ def emitter_quad(corner: object, u: object, v: object, image: np.ndarray, space:
     mesh = mi.Mesh("emitter", 4, 2, properties, False, True)
     values = mi.traverse(mesh)
     values["vertex_positions"] = opaque_float(points)
-    values["faces"] = mi.UInt32([0, 1, 2, 0, 2, 3])
+    values["faces"] = mi.UInt32([0, 2, 1, 0, 3, 2] if flip else [0, 1, 2, 0, 2, 3])
     values["vertex_texcoords"] = opaque_float([[0, 1], [1, 1], [1, 0], [0, 0]])
     values.update()
     return mesh
