@@ -75,10 +75,11 @@ def _friedman(result: Result, row: Mapping[str, Any]) -> str:
 def _posthoc(result: Result, row: Mapping[str, Any]) -> str:
     adjust = str(result.table.attrs.get("adjust") or result.test.options.get("adjust") or "holm").capitalize()
     text = f"{row['a']} − {row['b']}: t({row['df']:g}) = {number(row['t'], 2)}"
-    text += f", p_{adjust}{_p(row['p_adjusted'])[1:]}"
+    text += f", p_{adjust}{_p(row.get('p_family', row['p_adjusted']))[1:]}"
     text += f", M_diff = {number(row['mean_diff'], 2)}, {_interval(row['ci_low'], row['ci_high'])}"
     text += f", d_z = {number(row['dz'], 2)}"
-    return f"{result.test.name}, {text} (family of {len(result.table)})."
+    family = result.table.attrs.get("family_size", len(result.table))
+    return f"{result.test.name}, {text} (family of {family})."
 
 
 def _choice(result: Result, row: Mapping[str, Any]) -> str:

@@ -35,10 +35,15 @@ def plan_of(sessions: Sequence[Session], kept: pd.DataFrame) -> Plan:
     if len(plans) > 1:
         raise InputError(problem("sessions", "analysis plan", f"{len(plans)} versions", "one for all sessions"))
     stated = next(iter(plans.values()), None) or {}
-    tests = tuple(_test(one, index) for index, one in enumerate(stated.get("tests") or []))
-    alpha, adjust = float(stated.get("alpha", 0.05)), str(stated.get("adjust", "holm"))
     scales = {name: (int(one["low"]), int(one["high"])) for name, one in likert_questions(sessions).items()}
-    return Plan(tests or derived_tests(kept, sessions), alpha, adjust, bool(tests), scales)
+    plan = parse_plan(stated, scales)
+    return plan if plan.stated else replace(plan, tests=derived_tests(kept, sessions))
+
+
+def parse_plan(stated: Mapping[str, Any], scales: Mapping[str, tuple[int, int]]) -> Plan:
+    """The plan as a session's header or a study stores it; ``stated`` is False where it names no test."""
+    tests = tuple(_test(one, index) for index, one in enumerate(stated.get("tests") or []))
+    return Plan(tests, float(stated.get("alpha", 0.05)), str(stated.get("adjust", "holm")), bool(tests), scales)
 
 
 def _test(given: Mapping[str, Any], index: int) -> Test:
@@ -220,6 +225,7 @@ def _adjust_families(results: Sequence[Result], plan: Plan) -> list[Result]:
         for place in dict.fromkeys(place for place, _ in members):
             result = adjusted[place]
             table = result.table.copy()
+            table.attrs["family_size"] = len(members)
             table["p_family"] = np.nan
             for (where, row), value in zip(members, p_family, strict=True):
                 if where == place:

@@ -46,6 +46,7 @@ RESULT_COLUMNS: dict[str, Columns] = {
         ("df", "df", "g"),
         ("p", "p", "p"),
         ("p_adjusted", "p adjusted", "p"),
+        ("p_family", "p family", "p"),
         ("dz", "dz", "f2"),
         ("dz_low", "dz low", "f2"),
         ("dz_high", "dz high", "f2"),

@@ -186,7 +186,7 @@ def _trial_table(path: Path, header: Mapping[str, Any], trials: list[dict], resp
             raise InputError(
                 problem(f"{path}: trial {trial['trial']}", "observer_kind", trial["observer_kind"], wanted)
             )
-        row = _trial_row(header, trial, by_trial.get(trial["trial"], []))
+        row = trial_row(header, trial, by_trial.get(trial["trial"], []))
         row["session"] = path.stem
         rows.append(row)
     table = pd.DataFrame(rows)
@@ -197,7 +197,8 @@ def _trial_table(path: Path, header: Mapping[str, Any], trials: list[dict], resp
     return table[[*TRIAL_COLUMNS, *others]]
 
 
-def _trial_row(header: Mapping[str, Any], trial: Mapping[str, Any], answers: Sequence[Mapping[str, Any]]) -> dict:
+def trial_row(header: Mapping[str, Any], trial: Mapping[str, Any], answers: Sequence[Mapping[str, Any]]) -> dict:
+    """One row of `load_sessions` from a row of the trials table and its answers (rows of the responses table)."""
     panels = json.loads(trial["panels"])
     shown = [panel for panel in panels if panel.get("role", "candidate") != "reference"] or panels
     row: dict[str, Any] = {
