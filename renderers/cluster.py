@@ -18,6 +18,7 @@ from renderers.worker_pool import EXPECTED_ERRORS, ClusterLost, Event, Task
 from stimuli.clip import ClipStore
 from stimuli.errors import InputError, problem
 
+CONNECT_S = 5
 WAIT_FOR_WORKERS_S = 60
 """A batch system may take its time to start the first worker."""
 
@@ -71,7 +72,7 @@ def run_cluster(store: ClipStore, tasks: Sequence[Task], renderer: str, address:
     Raises InputError where the cluster cannot be used, ClusterLost where it goes away.
     """
     try:
-        client = Client(address, timeout="5s")
+        client = Client(address, timeout=CONNECT_S)
     except (OSError, ValueError) as error:
         raise InputError(
             problem(address, "cluster", f"no answer ({type(error).__name__})", "a Dask scheduler")

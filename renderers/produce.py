@@ -122,7 +122,7 @@ def produce(
         for job in todo:
             write_job(store, job)
         work = _Work(store, todo, {"workers": workers, "cluster": cluster is not None})
-        with tqdm(total=work.total, initial=work.done, unit="ray", unit_scale=True, disable=not bar) as progress:
+        with tqdm(total=work.total, initial=work.done, unit="sample", unit_scale=True, disable=not bar) as progress:
             while work.pending:
                 for identity in work.ready():
                     work.finish(identity)

@@ -63,10 +63,12 @@ def test_cluster_makes_the_same_bytes_though_its_worker_and_its_scheduler_are_ki
     assert all_files(store) == all_files(alone)
 
 
-def test_clusters_that_cannot_be_used_are_refused(tmp_path):
+def test_clusters_that_cannot_be_used_are_refused(tmp_path, monkeypatch):
     store = ClipStore(tmp_path / "store")
+    monkeypatch.setattr("renderers.cluster.CONNECT_S", 0.5)
     with pytest.raises(InputError, match="no answer"):
         produce(jobs(tmp_path), store, cluster="tcp://127.0.0.1:9", bar=False, renderer=TOY)
+    monkeypatch.undo()
     cluster = LoopbackCluster(tmp_path / "dask", threads=2)
     try:
         with pytest.raises(InputError, match="2 threads"):

@@ -6,8 +6,10 @@ import os
 import shlex
 import subprocess
 import sys
+import time
 
 import numpy as np
+import psutil
 import pytest
 
 import renderers.units
@@ -114,11 +116,11 @@ def test_damaged_clips_are_made_again(store, tmp_path, kind):
 
 
 def test_killed_workers_are_replaced_and_nothing_shows(store, tmp_path, small_units):
-    work = jobs(tmp_path, 2)
+    work = jobs(tmp_path, 1)
     other = ClipStore(tmp_path / "other")
     produce(work, other, bar=False, renderer=TOY)
     outcome = produce(work, store, 2, bar=False, renderer="tests.renderers.toy_renderer:DiesOnce")
-    assert len(list(tmp_path.glob("died-*"))) == 4
+    assert len(list(tmp_path.glob("died-*"))) == 2
     assert not outcome.poisoned
     assert all_files(store) == all_files(other)
 
@@ -172,6 +174,28 @@ def test_damaged_parts_are_made_again_on_resume(store, tmp_path, small_units):
     other = ClipStore(tmp_path / "other")
     produce(work, other, bar=False, renderer=TOY)
     assert all_files(store) == all_files(other)
+
+
+def test_killed_producer_leaves_nothing_that_shows_and_its_workers_end(store, tmp_path):
+    from tests.prove.kill_workers import half_made, start, work
+
+    client = start(store, 2, "")
+    try:
+        while len(list((store.root / "parts").glob("*/frames-*"))) < 3:
+            time.sleep(0.02)
+        children = psutil.Process(client.pid).children()
+    finally:
+        client.kill()
+        client.wait()
+    assert children
+    assert half_made(store) == []
+    _, alive = psutil.wait_procs(children, timeout=20)
+    assert not alive
+    produce(work(), store, bar=False, renderer=TOY)
+    other = ClipStore(tmp_path / "other")
+    produce(work(), other, bar=False, renderer=TOY)
+    assert all_files(store) == all_files(other)
+    assert list((store.root / "building").iterdir()) == []
 
 
 def test_two_producers_at_once_are_refused(store, tmp_path):
