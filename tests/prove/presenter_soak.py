@@ -87,14 +87,15 @@ def soak(display: Display, seconds: float, stalls: int, seed: int) -> dict[str, 
     done = {swap: length for swap, length in script.items() if swap < len(rows) - 1}
     explained = np.zeros(len(rows), bool)
     for swap, length in done.items():
-        # Refreshes that went by from before the swap's predecessor to its successor, by the clock, less the three swaps.
+        # Refreshes that went by, by the clock, over the swap and the two beside it, less those three.
         truth = round((returned[swap + 1] - returned[swap - 2]) / period_ns) - 3
         window = rows["missed"][swap - 1 : swap + 2]
-        found = int(window.sum())
+        # By the index: a late stamp with an early swap behind it counts one refresh lost and one gained.
+        found = int(rows["refresh"][swap + 1] - rows["refresh"][swap - 2]) - 3
         explained[swap - 1 : swap + 2] = True
-        lost_by_stalls += found
-        exact += found == truth and found > 0
-        near += abs(found - truth) <= 1 and found > 0
+        lost_by_stalls += int(window.sum())
+        exact += found == truth and bool(window.any())
+        near += abs(found - truth) <= 1 and bool(window.any())
         if found != truth:
             worst.append({"swap": swap, "stall_ms": length * 1e3, "true": truth, "recorded": found})
     other = int(rows["missed"][1:][~explained[1:]].sum())
