@@ -29,15 +29,16 @@ LINKS = ("logit", "probit", "weibull", "cloglog")
 COLUMNS = ["parameter", "estimate", "se", "ci_low", "ci_high"]
 
 
-def _f(z: np.ndarray, link: str) -> tuple[np.ndarray, np.ndarray]:
-    """F and its density."""
+def _f(z: np.ndarray, link: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """F, 1 - F and the density."""
+    z = np.clip(z, -700.0, 700.0)
     if link == "logit":
-        p = special.expit(z)
-        return p, p * special.expit(-z)
+        p, q = special.expit(z), special.expit(-z)
+        return p, q, p * q
     if link == "probit":
-        return special.ndtr(z), np.exp(-z * z / 2) / math.sqrt(2 * math.pi)
+        return special.ndtr(z), special.ndtr(-z), np.exp(-z * z / 2) / math.sqrt(2 * math.pi)
     e = np.exp(np.minimum(z, 300.0))
-    return -np.expm1(-e), e * np.exp(-e)
+    return -np.expm1(-e), np.exp(-e), e * np.exp(-e)
 
 
 @dataclass(frozen=True)
@@ -51,22 +52,25 @@ class Levels:
     guess: float
     lapse: float
 
-    def probability(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        f, density = _f(z, self.link)
+    def probability(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """P, 1 - P and dP/dz."""
+        f, rest, density = _f(z, self.link)
         span = 1 - self.guess - self.lapse
-        return self.guess + span * f, span * density
+        return self.guess + span * f, self.lapse + span * rest, span * density
 
     def log_likelihood(self, alpha: Any, beta: Any) -> Any:
         """Log-likelihood (without coefficients) of z = alpha + beta u; arrays of parameters broadcast."""
-        p, _ = self.probability(np.asarray(alpha)[..., None] + np.asarray(beta)[..., None] * self.u)
-        return (special.xlogy(self.k, p) + special.xlog1py(self.n - self.k, -p)).sum(axis=-1)
+        p, q, _ = self.probability(np.asarray(alpha)[..., None] + np.asarray(beta)[..., None] * self.u)
+        return (special.xlogy(self.k, p) + special.xlogy(self.n - self.k, q)).sum(axis=-1)
 
     def slopes(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Gradient and expected information by (alpha, beta)."""
-        p, density = self.probability(theta[0] + theta[1] * self.u)
+        p, q, density = self.probability(theta[0] + theta[1] * self.u)
         x = np.stack([np.ones_like(self.u), self.u])
-        variance = np.maximum(p * (1 - p), 1e-300)
-        return x @ ((self.k - self.n * p) * density / variance), (x * (self.n * density**2 / variance)) @ x.T
+        # Where P is 0 or 1 to the last digit an answer tells nothing about the parameters.
+        known = (p > 1e-200) & (q > 1e-200) & (density > 1e-200)
+        per_answer = np.where(known, density / np.where(known, p * q, 1.0), 0.0)
+        return x @ ((self.k * q - (self.n - self.k) * p) * per_answer), (x * (self.n * density * per_answer)) @ x.T
 
 
 def _maximum(levels: Levels) -> tuple[np.ndarray, np.ndarray, bool]:
@@ -158,7 +162,8 @@ def psychometric(
         note = "the answers step from the lowest to the highest share between two levels: the slope is not finite"
         return _no_estimate(SEPARATED, note, method, n_subjects, dropped, math.copysign(math.inf, theta[1]))
     # Only one level between floor and ceiling: it fixes one parameter, and the slope grows without end.
-    if information[0, 1] ** 2 >= (1 - 1e-8) * information[0, 0] * information[1, 1]:
+    about_slope = information[1, 1] - information[0, 1] ** 2 / max(information[0, 0], 1e-300)
+    if abs(theta[1]) > 8 and not about_slope * theta[1] ** 2 > 1e-3:
         note = "at most one level lies between the lowest and the highest share: the slope is not finite"
         return _no_estimate(SEPARATED, note, method, n_subjects, dropped, math.copysign(math.inf, theta[1]))
     if abs(theta[1]) < 1e-6:
@@ -187,10 +192,10 @@ def psychometric(
             se *= value
         rows.append({"parameter": name, "estimate": value, "se": se, "ci_low": low, "ci_high": high,
                      "status": status, "note": note})  # fmt: skip
-    p, _ = levels.probability(theta[0] + theta[1] * levels.u)
+    p, fail, _ = levels.probability(theta[0] + theta[1] * levels.u)
     share = levels.k / levels.n
     best = special.xlogy(levels.k, share) + special.xlog1py(levels.n - levels.k, -share)
-    fitted = special.xlogy(levels.k, p) + special.xlog1py(levels.n - levels.k, -p)
+    fitted = special.xlogy(levels.k, p) + special.xlogy(levels.n - levels.k, fail)
     deviance, df = 2 * float(np.sum(best - fitted)), len(share) - 2
     attrs = {
         "log_likelihood": float(np.sum(fitted + special.gammaln(levels.n + 1) - special.gammaln(levels.k + 1)

@@ -129,7 +129,9 @@ INVARIANTS = {
         ["F", "p", "eta2_partial"]
     ],
     "friedman": lambda t: analysis.friedman(t, "rating", "condition", "participant")[["chi2", "p", "kendall_w"]],
-    "linear_mixed": lambda t: analysis.linear_mixed(t, "rating ~ condition", random="participant").loc[1:, ["t", "p", "df"]],
+    "linear_mixed": lambda t: analysis.linear_mixed(t, "rating ~ condition", random="participant").loc[
+        1:, ["t", "p", "df"]
+    ],
     "cumulative_link": lambda t: analysis.cumulative_link(t, "rating ~ condition").iloc[-2:][["estimate", "z", "p"]],
 }
 CHANGES = {
@@ -138,7 +140,9 @@ CHANGES = {
     "times 1e-9": lambda t: t.assign(rating=t["rating"] * 1e-9),
     "rows permuted": lambda t: t.sample(frac=1.0, random_state=4).reset_index(drop=True),
     "participants relabelled": lambda t: t.assign(
-        participant=t["participant"].map({p: f"x{(i * 7) % 12}" for i, p in enumerate(sorted(t["participant"].unique()))})
+        participant=t["participant"].map(
+            {p: f"x{(i * 7) % 12}" for i, p in enumerate(sorted(t["participant"].unique()))}
+        )
     ),
 }
 

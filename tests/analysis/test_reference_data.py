@@ -110,7 +110,8 @@ def test_thurstone_of_guilfords_vegetables(reference: Reference) -> None:
 
 
 @pytest.mark.parametrize(
-    ("case", "file", "subject"), [("rounding_times", "rounding_times", "runner"), ("likert", "likert_friedman", "subject")]
+    ("case", "file", "subject"),
+    [("rounding_times", "rounding_times", "runner"), ("likert", "likert_friedman", "subject")],
 )
 def test_friedman_with_ties_and_its_posthoc_tests(reference: Reference, case: str, file: str, subject: str) -> None:
     right = reference.expected("f1_friedman")[case]

@@ -115,7 +115,9 @@ def test_p_far_below_the_smallest_double_has_its_logarithm() -> None:
     made = analysis.rm_anova(table, "rating", "condition", "participant").iloc[0]
     assert made["p"] == 0
     assert -1e5 < made["log10_p"] < -1000
-    assert analysis.binomial_choice(5000, 5000)["log10_p"].iloc[0] == pytest.approx((1 - 5000) * math.log10(2), rel=1e-12)
+    assert analysis.binomial_choice(5000, 5000)["log10_p"].iloc[0] == pytest.approx(
+        (1 - 5000) * math.log10(2), rel=1e-12
+    )
 
 
 @pytest.mark.parametrize(

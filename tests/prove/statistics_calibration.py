@@ -208,7 +208,9 @@ def prove() -> None:
     studies = int(sys.argv[1]) if len(sys.argv) > 1 else 1000
     only = sys.argv[2] if len(sys.argv) > 2 else None
     table = calibrate(studies, only=only)
-    wide = table.assign(observers=[f"{p:g}/{s:g}" for p, s in zip(table["preference_sd"], table["scene_sd"], strict=True)])
+    wide = table.assign(
+        observers=[f"{p:g}/{s:g}" for p, s in zip(table["preference_sd"], table["scene_sd"], strict=True)]
+    )
     print(wide.pivot_table(index=["what", "n"], columns="observers", values="rate").round(3).to_string())
     folder = Path("evidence")
     folder.mkdir(exist_ok=True)
