@@ -25,6 +25,8 @@ TRACKER_KINDS = ("lsl", "gazepoint", "pupil")
 BUTTONS = tuple("12345678")
 GAZE_HZ = 250.0
 START_LIMIT_S = 30.0
+EMULATOR_SILENCE_S = 2.0
+"""An emulator shares the processor with everything else and may stutter; one that is gone closes its line."""
 
 
 @dataclass
@@ -71,8 +73,10 @@ def emulated_devices(
         stack.callback(eyes.close)
         reader = DeviceReader(
             [
-                DeviceSpec("box", kind, box.port),
-                DeviceSpec("eyes", "lsl", eyes.port, {"loopback": True}, screen=screen),
+                DeviceSpec("box", kind, box.port, {"silence_s": EMULATOR_SILENCE_S}),
+                DeviceSpec(
+                    "eyes", "lsl", eyes.port, {"loopback": True, "silence_s": EMULATOR_SILENCE_S}, screen=screen
+                ),
             ]
         )
         stack.callback(reader.close)

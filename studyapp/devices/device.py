@@ -14,7 +14,13 @@ from studyapp.gaze.angles import ScreenGeometry
 from studyapp.seams import Press
 
 SILENCE_LIMIT_S = 0.2
-"""A stream of known rate that is silent for so long has vanished (a session must notice within 250 ms)."""
+"""A stream of known rate that is silent for so long has vanished (a session must notice within 250 ms); a device's
+option ``silence_s`` replaces it. A line that is closed is noticed at once, whatever the limit."""
+
+
+def silence_limit_s(spec: DeviceSpec) -> float:
+    """`SILENCE_LIMIT_S`, or the device's own ``silence_s``."""
+    return float(spec.options.get("silence_s", SILENCE_LIMIT_S))
 
 
 class DeviceGone(RuntimeError):

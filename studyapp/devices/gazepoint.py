@@ -13,7 +13,7 @@ import numpy as np
 from protocols.records import GAZE_DTYPE
 from studyapp.clock import now_ns
 from studyapp.devices.clock_model import ClockFit, ClockModel
-from studyapp.devices.device import SILENCE_LIMIT_S, Batch, DeviceEvent, DeviceGone, DeviceSpec
+from studyapp.devices.device import Batch, DeviceEvent, DeviceGone, DeviceSpec, silence_limit_s
 
 DEFAULT_PORT = "127.0.0.1:4242"
 ENABLED = ("COUNTER", "TIME", "TIME_TICK", "POG_BEST", "POG_LEFT", "POG_RIGHT", "PUPIL_LEFT", "USER_DATA")
@@ -105,7 +105,7 @@ class Gazepoint:
         if data == b"":
             raise DeviceGone(f"gazepoint {self._spec.port}: the server closed the line")
         if data is None:
-            if host_ns - self._last_ns > SILENCE_LIMIT_S * 1e9:
+            if host_ns - self._last_ns > silence_limit_s(self._spec) * 1e9:
                 raise DeviceGone(f"gazepoint {self._spec.port}: silent for {(host_ns - self._last_ns) * 1e-9:.2f} s")
             return Batch()
         rows, events = [], []

@@ -18,7 +18,7 @@ import pylsl
 from protocols.records import GAZE_DTYPE
 from studyapp.clock import now_ns
 from studyapp.devices.clock_model import ClockFit, ClockModel
-from studyapp.devices.device import SILENCE_LIMIT_S, Batch, DeviceGone, DeviceSpec
+from studyapp.devices.device import Batch, DeviceGone, DeviceSpec, silence_limit_s
 from studyapp.gaze.angles import ScreenGeometry
 
 LOOPBACK = "[multicast]\nResolveScope = machine\n[lab]\nKnownPeers = {127.0.0.1}\n[log]\nlevel = -3\n"
@@ -136,6 +136,7 @@ class LslGaze:
         except (pylsl.util.LostError, TimeoutError, RuntimeError) as error:
             raise DeviceGone(f"LSL stream {spec.port}: does not answer ({error})") from error
         self._layout = gaze_layout(described_channels(info))
+        self._silence_s = silence_limit_s(spec)
         self._rate_hz = float(info.nominal_srate())
         self._channels = int(info.channel_count())
         self._clock = ClockModel("symmetric")
@@ -164,7 +165,7 @@ class LslGaze:
             raise DeviceGone(f"LSL stream {self._spec.port}: lost ({error or 'closed by its sender'})") from error
         if not len(stamps):
             silent_s = (host_ns - self._last_ns) * 1e-9
-            if self._rate_hz >= 20 and silent_s > SILENCE_LIMIT_S:
+            if self._rate_hz >= 20 and silent_s > self._silence_s:
                 raise DeviceGone(f"LSL stream {self._spec.port}: silent for {silent_s:.2f} s at {self._rate_hz:g} Hz")
             return Batch()
         self._last_ns = host_ns

@@ -12,7 +12,7 @@ import zmq
 from protocols.records import GAZE_DTYPE
 from studyapp.clock import now_ns
 from studyapp.devices.clock_model import ClockFit, ClockModel
-from studyapp.devices.device import SILENCE_LIMIT_S, Batch, DeviceEvent, DeviceGone, DeviceSpec
+from studyapp.devices.device import Batch, DeviceEvent, DeviceGone, DeviceSpec, silence_limit_s
 
 DEFAULT_PORT = "127.0.0.1:50020"
 MIN_CONFIDENCE = 0.6
@@ -107,7 +107,7 @@ class PupilCore:
             self._ask_time()
         except (zmq.ZMQError, ValueError) as error:
             raise DeviceGone(f"pupil {self._address}: {error}") from error
-        if not rows and now_ns() - self._last_ns > SILENCE_LIMIT_S * 1e9:
+        if not rows and now_ns() - self._last_ns > silence_limit_s(self._spec) * 1e9:
             raise DeviceGone(f"pupil {self._address}: silent for {(now_ns() - self._last_ns) * 1e-9:.2f} s")
         return Batch(gaze=self._samples(rows), events=tuple(events[-1:]))
 

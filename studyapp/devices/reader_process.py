@@ -25,7 +25,7 @@ from studyapp.seams import Press
 from studyapp.session_log import StreamRings
 
 OPENING, ALIVE, GONE = 0, 1, 2
-HEARTBEAT_LIMIT_S = 0.2
+HEARTBEAT_LIMIT_S = 1.0  # of a reader that lives and does not come round; a dead one is noticed at once
 REOPEN_S = 0.1
 POLL_S = 0.002
 FIT_S = 1.0

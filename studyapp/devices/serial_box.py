@@ -12,7 +12,7 @@ from studyapp.clock import now_ns
 from studyapp.devices import cedrus_xid
 from studyapp.devices.clock_model import ClockFit, ClockModel
 from studyapp.devices.decoders import BYTE_BOXES, LINE_BOXES, Decoder, XidDecoder, decoder_for
-from studyapp.devices.device import SILENCE_LIMIT_S, Batch, DeviceEvent, DeviceGone, DeviceSpec
+from studyapp.devices.device import Batch, DeviceEvent, DeviceGone, DeviceSpec, silence_limit_s
 from studyapp.seams import Press
 
 HALF_MS_S = 0.0005  # boxes cut their stamps to whole milliseconds
@@ -107,7 +107,7 @@ class SerialBox:
         """Ask a Cedrus box for its time ten times a second: its clock, and whether it is still there."""
         assert isinstance(self._decoder, XidDecoder)
         if self._asked_ns > self._answered_ns:
-            if host_ns - self._asked_ns > SILENCE_LIMIT_S * 1e9 / 2:
+            if host_ns - self._asked_ns > silence_limit_s(self._spec) * 1e9 / 2:
                 raise DeviceGone(f"{self._spec.port}: the box stopped answering")
         elif host_ns - self._asked_ns >= 1e8:
             self._asked_ns = now_ns()
