@@ -99,6 +99,9 @@ def dprime(
     """
     if correction not in ("none", "loglinear"):
         raise InputError(problem("dprime", "correction", repr(correction), "'none' or 'loglinear'"))
+    if false_alarms is not None and correct_rejections is None:
+        # (k, n, m) in a row: the third is the number of alternatives.
+        m, false_alarms = false_alarms, None
     added = 0.5 if correction == "loglinear" else 0.0
     if false_alarms is None and correct_rejections is None:
         given: tuple[Any, ...] = (hits if k is None else k, misses if n is None else n)

@@ -9,6 +9,7 @@ import numpy as np
 from analysis.results import one_of
 
 METHODS = ("holm", "hochberg", "hommel", "bonferroni", "BH", "fdr", "BY", "none")
+_ALIASES = {"fdr_bh": "BH", "bh": "BH", "fdr_by": "BY", "by": "BY"}
 
 
 def _hommel(p: np.ndarray) -> np.ndarray:
@@ -31,6 +32,7 @@ def adjust_p(p: Any, method: str = "holm") -> np.ndarray:
 
     ``method``: holm, hochberg, hommel, bonferroni, BH (or fdr), BY, none. Raises InputError for another name.
     """
+    method = _ALIASES.get(method, method)
     one_of("adjust_p", "method", method, METHODS)
     given = np.asarray(p, dtype=float)
     flat = given.ravel()

@@ -41,6 +41,7 @@ from stimuli.errors import InputError, problem
 # One JOD: 75 % prefer the better one. In probit units z(0.75), in logits ln 3.
 JOD_Z = 0.6744897501960817
 JOD_LOGIT = math.log(3.0)
+TIE_COLUMNS = ("tie", "ties", "tied", "is_tie")
 ORDER_COLUMNS = ("first", "home", "shown_first", "order", "side")
 
 
@@ -198,6 +199,18 @@ def _order_column(table: pd.DataFrame, order_effect: bool | str) -> str | None:
     return found[0]
 
 
+def _tie_column(table: pd.DataFrame, ties: str | None) -> str | None:
+    """The column that marks ties; 'davidson', the model's name, finds one by its usual name."""
+    if ties != "davidson" or ties in table.columns:
+        return ties
+    found = [name for name in TIE_COLUMNS if name in table.columns]
+    if not found:
+        raise InputError(
+            problem("bradley_terry", "ties", "no column that tells ties", "ties='COLUMN', true where tied")
+        )
+    return found[0]
+
+
 def bradley_terry(
     table: pd.DataFrame,
     winner: str,
@@ -219,7 +232,14 @@ def bradley_terry(
     ``disconnected`` and abilities are infinite or nan. Raises InputError for unknown columns.
     """
     comparisons = count_comparisons(
-        "bradley_terry", table, winner, loser, ties, _order_column(table, order_effect), observer, count
+        "bradley_terry",
+        table,
+        winner,
+        loser,
+        _tie_column(table, ties),
+        _order_column(table, order_effect),
+        observer,
+        count,
     )
     solved = solve(comparisons, "logit", _any(comparisons.pairs.ties), bool(order_effect))
     return _scale_table("bradley_terry", comparisons, solved, "logit", observer is not None)

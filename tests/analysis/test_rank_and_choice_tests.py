@@ -124,6 +124,7 @@ def test_dprime_of_detection_and_of_choice() -> None:
     assert analysis.dprime(80, 100)["dprime"].iloc[0] == pytest.approx(math.sqrt(2) * stats.norm.ppf(0.8), rel=1e-12)
     # Hacker & Ratcliff (1979), table: share correct .80 of four alternatives: d' = 1.89.
     assert analysis.dprime(80, 100, m=4)["dprime"].iloc[0] == pytest.approx(1.89, abs=0.005)
+    assert analysis.dprime(80, 100, 4)["dprime"].iloc[0] == pytest.approx(1.89, abs=0.005)
     assert analysis.dprime(25, 100, m=4)["dprime"].iloc[0] == pytest.approx(0, abs=1e-9)
     assert analysis.dprime(100, 0, 3, 97)["dprime"].iloc[0] == math.inf
     bounded = analysis.dprime(100, 0, 3, 97, correction="loglinear").iloc[0]
@@ -145,6 +146,7 @@ def test_tost_is_two_one_sided_t_tests() -> None:
 
 def test_a_nan_p_stays_out_of_the_family() -> None:
     np.testing.assert_allclose(analysis.adjust_p([0.01, math.nan, 0.02], "holm"), [0.02, math.nan, 0.02])
+    np.testing.assert_array_equal(analysis.adjust_p([0.01, 0.2], "fdr_bh"), analysis.adjust_p([0.01, 0.2], "BH"))
     with pytest.raises(InputError, match="method"):
         analysis.adjust_p([0.1], "sidak")
 

@@ -53,6 +53,8 @@ def test_ties_and_order_effect_maximise_davidsons_likelihood() -> None:
     assert made.attrs["order_effect"]["estimate"] == pytest.approx(right.x[-2], abs=1e-5)
     assert made.attrs["tie_parameter"]["estimate"] == pytest.approx(right.x[-1], abs=1e-5)
     assert made.attrs["log_likelihood_bernoulli"] == pytest.approx(-right.fun, abs=1e-8)
+    named = analysis.bradley_terry(table, "won", "lost", ties="davidson", order_effect=True)
+    np.testing.assert_array_equal(named["ability"], made["ability"])
     flagged = table.assign(first=(table["first"] == table["won"]).astype(int))
     same = analysis.bradley_terry(flagged, "won", "lost", ties="tie", order_effect="first")
     np.testing.assert_allclose(same["ability"], made["ability"], atol=1e-9)
