@@ -12,6 +12,7 @@ import re
 import shutil
 import subprocess
 from pathlib import Path
+from typing import Any
 
 from stimuli.errors import InputError, problem
 
@@ -39,8 +40,11 @@ def _library_listing() -> str:
 if "DRJIT_LIBLLVM_PATH" not in os.environ and (_llvm := newest_llvm(_library_listing())):
     os.environ["DRJIT_LIBLLVM_PATH"] = _llvm  # Dr.Jit reads it when it is imported, below
 
-import drjit as dr  # noqa: E402
-import mitsuba as mi  # noqa: E402
+import drjit  # noqa: E402
+import mitsuba  # noqa: E402
+
+dr: Any = drjit  # their types depend on the variant, so their stubs can only describe one
+mi: Any = mitsuba
 
 __all__ = ["activate", "dr", "is_cuda", "mi", "newest_llvm"]
 

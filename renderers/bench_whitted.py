@@ -54,7 +54,7 @@ def measure_whitted(
     """The figures of ``scene`` with diffuse materials (what both renderers express), one sample a pixel."""
     scene = diffuse_only(scene)
     engine = Engine(scene, device=device)
-    pixel, x, y = frame_lanes(size_px)
+    _, x, y = frame_lanes(size_px)
     lanes = size_px[0] * size_px[1]
     state = engine.state(view_at(0, RATE_HZ, Fraction(0), size_px, scene.camera))
     theirs = mitsuba_scene(scene, engine.space, size_px)

@@ -1,4 +1,4 @@
-"""Primary rays and projection. Pixel (0, 0) is top left with its centre at (0.5, 0.5), y down; a camera looks down -z."""
+"""Primary rays and projection. Pixel (0, 0) is top left, its centre at (0.5, 0.5), y down; a camera looks down -z."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Ray:
 
 
 def camera_state(camera: CameraPath, space: TracerSpace, times_s: np.ndarray, size_px: tuple[int, int]) -> CameraState:
-    """The device's camera for these knots. Raises InputError for a size below 1 px or a field outside (0, 180) degrees."""
+    """The device's camera for these knots. Raises InputError for a size below 1 px, a field outside 0 to 180 degrees."""
     width, height = size_px
     if width < 1 or height < 1:
         raise InputError(problem("size_px", "picture size", f"{width}x{height}", "at least 1x1"))
@@ -84,7 +84,7 @@ def _project(camera: CameraState, pose: Pose, point: Any) -> tuple[Any, Any, Any
 
 
 def project(camera: CameraState, point: Any, time_s: Any) -> tuple[Any, Any, Any]:
-    """Tracer point -> (x_px, y_px, depth along the axis in tracer units; not positive: behind the eye) at ``time_s``."""
+    """Tracer point -> (x_px, y_px, depth along the axis in tracer units; not positive: behind the eye)."""
     return _project(camera, pose_at(camera.poses, mi.UInt32(0), time_s), point)
 
 

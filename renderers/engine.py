@@ -226,8 +226,8 @@ class Engine:
         """Trace and shade one ray a lane (Whitted: mirrors to depth 3, see-through surfaces straight on).
 
         ``rng``: UInt32 seed a lane for lights with an area and ambient occlusion; None: an even grid, the same in every
-        lane. ``light_samples``: shadow rays for each such light, a square number. ``want_motion`` (rays at t1 only) fills
-        ``motion`` and what `motion` needs of mirrors.
+        lane. ``light_samples``: shadow rays for each such light, a square number. ``want_motion`` (rays at t1 only)
+        fills ``motion`` and what `motion` needs of mirrors.
         """
         if math.isqrt(light_samples) ** 2 != light_samples or light_samples < 1:
             raise InputError(
@@ -383,8 +383,8 @@ class Engine:
         )
 
     def _follow(
-        self, state: EngineState, ray: Ray, hit: RawHit, surface: Surface, shaded: _Shaded, time_s: Any, active: Any, rng: Any,
-        light_samples: int,
+        self, state: EngineState, ray: Ray, hit: RawHit, surface: Surface, shaded: _Shaded, time_s: Any, active: Any,
+        rng: Any, light_samples: int,
     ) -> dict[str, Any]:  # fmt: skip
         """Light through mirrors (depth 3, then dropped) and see-through surfaces (straight on, same depth).
 
@@ -452,12 +452,14 @@ class Engine:
             return out
 
         idle = {
-            "o": mi.Point3f(0), "d": mi.Vector3f(0, 0, 1), "weight": zero3, "width": mi.Float(0), "spread": mi.Float(0), "on": mi.Bool(False)
+            "o": mi.Point3f(0), "d": mi.Vector3f(0, 0, 1), "weight": zero3, "width": mi.Float(0), "spread": mi.Float(0),
+            "on": mi.Bool(False),
         }  # fmt: skip
         start = {
             "o": mi.Point3f(ray.o), "d": mi.Vector3f(ray.d), "weight": mi.Color3f(1), "width": mi.Float(ray.width),
-            "spread": mi.Float(ray.spread), "depth": mi.UInt32(0), "on": mi.Bool(active), "color": zero3, "shadow": mi.UInt32(0),
-            "ambient_occlusion": mi.UInt32(0), "reflection": mi.UInt32(0), "transmission": mi.UInt32(0), "steps": mi.UInt32(0),
+            "spread": mi.Float(ray.spread), "depth": mi.UInt32(0), "on": mi.Bool(active), "color": zero3,
+            "shadow": mi.UInt32(0), "ambient_occlusion": mi.UInt32(0), "reflection": mi.UInt32(0),
+            "transmission": mi.UInt32(0), "steps": mi.UInt32(0),
             "mirror_local": mi.Point3f(0), "mirror_mover": mi.UInt32(0), "found": mi.Bool(False),
             "waiting": [dict(idle) for _ in range(levels)],
         }  # fmt: skip

@@ -68,7 +68,7 @@ def _unit(v: np.ndarray) -> np.ndarray:
 
 
 def _row(light: Light, kind: str, space: TracerSpace, time_s: float) -> np.ndarray:
-    """(5, 4): position, 0 | intensity, range | direction, cos inner | edge u or radius, cos outer | edge v, no falloff."""
+    """(5, 4): position, 0 | intensity, range | direction, cos inner | edge u or radius, cos outer | edge v, even."""
     matrix = np.eye(4) if light.track is None else light.track.pose(np.array([time_s]))[0]
     turn = matrix[:3, :3]
 
@@ -134,8 +134,8 @@ def _xyz(v: Any) -> Any:
 def incident(kind: str, light: LightSample, point: Any, x: Any, y: Any) -> Incident:
     """What ``light`` sends to ``point``; ``x``, ``y`` in [0, 1) choose the place on an area or sphere light.
 
-    area: radiance * cos * A / d^2 (one-sided). sphere: uniform in the cone that it subtends. The mean over (x, y) is the
-    light's irradiance; points inside a sphere light get none.
+    area: radiance * cos * A / d^2 (one-sided). sphere: uniform in the cone that it subtends. The mean over (x, y) is
+    the light's irradiance; points inside a sphere light get none.
     """
     place, power, direction, edge_u, edge_v = light.rows
     color = mi.Color3f(power.x, power.y, power.z)

@@ -148,7 +148,7 @@ def look_at_hit(
     if needs.metallic or needs.unlit or needs.transparency:
         row = _row_at(arrays, material, 0, active) * texture
         base, alpha = _rgb(row), row.w
-    fifth = _row_at(arrays, material, 4, active) if needs.emissive or needs.transparency else None
+    fifth: Any = _row_at(arrays, material, 4, active) if needs.emissive or needs.transparency else None
     emission = zero
     if needs.emissive:
         emission = _rgb(fifth)

@@ -29,7 +29,8 @@ def diffuse_only(scene: Scene) -> Scene:
     def plain(material: Material) -> Material:
         if id(material) not in memo:
             factor = material.pbr.baseColorFactor
-            color = tuple(float(v) for v in (np.ones(3) if factor is None else np.asarray(factor, float)[:3]))
+            red, green, blue = np.ones(3) if factor is None else np.asarray(factor, float)[:3]
+            color = (float(red), float(green), float(blue))
             if material.phong is not None:
                 color = material.phong.diffuse
             texture = material.pbr.baseColorTexture if color == (1.0, 1.0, 1.0) else None

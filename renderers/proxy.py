@@ -2,12 +2,14 @@
 
 Bodies keep their own Mitsuba scenes, never rebuilt; only the boxes are rebuilt for each interval. A box is asked when
 the ray enters it, or when it leaves it having started inside; the walk ends when the next box is behind the best hit.
-Boxes are inflated by slightly different amounts, so that no two faces coincide. Where two faces still lie within one step
-of each other on a ray, the second is passed over unseen: so the walk remembers, in 64 bits, which bodies it has asked, and
-asks on leaving a box whose entry it never saw (without that, 10 of 518,400 pixels of bart_robots were wrong).
+Boxes are inflated by slightly different amounts, so that no two faces coincide. Where two faces still lie within one
+step of each other on a ray, the second is passed over unseen: so the walk remembers, in 64 bits, which bodies it has
+asked, and asks on leaving a box whose entry it never saw (without that, 10 of 518,400 pixels of bart_robots were wrong).
 """
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 
@@ -24,7 +26,8 @@ STEP = 2e-7
 
 # Two triangles a face; faces in the order -x +x -y +y -z +z; corner k has bit `axis` set where it is high.
 BOX_FACES = np.array(
-    [[0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5]],
+    [[0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3], [0, 4, 5], [0, 5, 1],
+     [2, 3, 7], [2, 7, 6], [0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5]],
     np.uint32,
 )  # fmt: skip
 
@@ -56,7 +59,7 @@ def box_faces(count: int) -> np.ndarray:
     return (BOX_FACES[None] + 8 * np.arange(count, dtype=np.uint32)[:, None, None]).reshape(-1, 3)
 
 
-def must_ask(bounds: object, body: object, face: object, origin: object, direction: object, active: object) -> object:
+def must_ask(bounds: Any, body: Any, face: Any, origin: Any, direction: Any, active: Any) -> Any:
     """Whether a hit on a box's triangle (``face`` 0 to 11) means that its body must be asked.
 
     On entering the box, or on any face of a box in which the ray starts.

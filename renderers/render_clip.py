@@ -55,7 +55,7 @@ def view_at(
     index: int, rate: Fraction, start: Fraction, size_px: tuple[int, int], camera: CameraPath, gaze: GazeInput = None,
     geometry: ViewGeometry | None = None, exposure: float = 1.0, cut: bool = False,
 ) -> View:  # fmt: skip
-    """Refresh ``index`` of a clip: t1 = start + index / rate, t0 = t1 - 1 / rate; ``gaze`` may be a function of clip time."""
+    """Refresh ``index`` of a clip: t1 = start + index / rate, t0 = t1 - 1 / rate."""
     t1 = start + index / rate
     now = gaze(float(index / rate)) if callable(gaze) else gaze
     return View(

@@ -94,8 +94,11 @@ def direct_light(
     light_samples: int,
     coherent: bool,
 ) -> Direct:
-    """Light from all lights. ``view``: unit vector to the ray's origin. ``rng``: UInt32 seed a lane, or None for the even
-    grid (cell centres) of ``light_samples`` = k * k places on each area light; with a seed, one random place a cell."""
+    """Light from all lights. ``view``: unit vector to the ray's origin. ``rng``: UInt32 seed a lane, or None.
+
+    Each area light gets ``light_samples`` = k * k places: the cell centres of an even grid, or with a seed one random
+    place a cell. ``coherent``: neighbouring lanes' shadow rays go the same way.
+    """
     needs = tracer.needs
     normal, geometric = mi.Vector3f(surface.normal), mi.Vector3f(surface.geometric)
     origin = start_point(surface, geometric)

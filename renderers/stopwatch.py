@@ -1,4 +1,4 @@
-"""What a stage of rendering costs. The clock and the device's synchronisation are handed in, so that tests can set them."""
+"""What a stage of rendering costs. The clock and the device's synchronisation are handed in; tests set them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What lies at a hit: position, normals, texture coordinates, footprint. Gathered from flat arrays, whatever was hit."""
+"""What lies at a hit: position, normals, texture coordinates, footprint. Gathered from flat arrays, whatever it was."""
 
 from __future__ import annotations
 

@@ -117,7 +117,10 @@ def mip_chain(source: TextureSource) -> list[np.ndarray]:
 
 def build_atlas(sources: list[TextureSource]) -> TextureArrays:
     """The device's arrays for ``sources``; a texture's number is its place in the list."""
-    texels, levels, table, offset = [], [], [], 0
+    texels: list[np.ndarray] = []
+    levels: list[tuple[int, int, int, int]] = []
+    table: list[tuple[int, int, int, int]] = []
+    offset = 0
     for source in sources:
         chain = mip_chain(source)
         flags = (source.wrap_u == CLAMP) * _CLAMP_U + (source.wrap_v == CLAMP) * _CLAMP_V

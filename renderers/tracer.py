@@ -135,8 +135,8 @@ class Tracer:
     def poses(self, times_s: np.ndarray, hide: bool = False) -> Poses:
         """The movers' poses at the knots ``times_s`` (K,) and, with many movers, the boxes that hold them in between.
 
-        The boxes belong to the latest interval: rays of an earlier one must have been traced before. ``hide``: a mover is
-        out of sight at the knots at which it does not exist (for rays that fall on knots only).
+        The boxes belong to the latest interval: rays of an earlier one must have been traced before. ``hide``: a mover
+        is out of sight at the knots at which it does not exist (for rays that fall on knots only).
         """
         key = (*np.asarray(times_s, np.float64).tolist(), float(hide))
         if self._poses is None or (key != self._interval and self.scene.movers):
@@ -207,7 +207,7 @@ class Tracer:
         tmax: Any,
         coherent: bool = False,
     ) -> Any:
-        """Whether anything that casts shadows lies on ``o + t d``, 0 < t < tmax. ``coherent``: lanes go the same way."""
+        """Whether anything that casts shadows lies on ``o + t d``, 0 < t < tmax. ``coherent``: lanes go one way."""
         active = mi.Bool(active)
         blocked = mi.Bool(False)
         if arrays.opaque is not None:
@@ -256,7 +256,7 @@ class Tracer:
     def _next_box(
         self, arrays: SceneArrays, o: Any, d: Any, walked: Any, limit: Any, asked: Any, active: Any, coherent: bool
     ) -> tuple[Any, Any, Any, Any, Any]:
-        """The next box face beyond ``walked``: is there one, its distance, its body, must it be asked; bits of the asked."""
+        """The next box face beyond ``walked``: is there one, how far, its body, must it be asked; bits of the asked."""
         ray = mi.Ray3f(dr.fma(d, walked, o), d, limit - walked, 0.0, [])
         found = arrays.proxy.ray_intersect_preliminary(ray, coherent=coherent, active=active)
         ok = active & found.is_valid()

@@ -49,7 +49,7 @@ def block_z(ours: np.ndarray, theirs: np.ndarray, block_px: int = 8) -> np.ndarr
 
 
 def emitter_quad(corner: object, u: object, v: object, image: np.ndarray, space: Any, flip: bool) -> dict[str, Any]:
-    """A rectangle that emits the sRGB picture ``image`` (row 0 at v = 0) along u x v, or against it (``flip``); tracer space."""
+    """A rectangle that emits the sRGB picture ``image`` (row 0 at v = 0) along u x v, or against it (``flip``)."""
     corner, u, v = (np.asarray(value, float) for value in (corner, u, v))
     points = space.points(np.array([corner, corner + u, corner + u + v, corner + v]))
     properties = mi.Properties()

@@ -10,7 +10,8 @@ import pyrender
 from stimuli.scene import RGB, Light, Material, Mover, Part, Phong, PoseTrack, Scene, StillCamera
 
 BOX_FACES = np.array(
-    [[0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5]]
+    [[0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3], [0, 4, 5], [0, 5, 1],
+     [2, 3, 7], [2, 7, 6], [0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5]]
 )  # fmt: skip
 
 

@@ -25,7 +25,7 @@ RATE = Fraction(240)
 def sampled(
     subject: Scene, size_px: tuple[int, int] = (9, 7), t1: float = 0.0, rng: bool = False, **options: Any
 ) -> dict[str, np.ndarray]:
-    """Every field of the samples of one small picture at t1, in scanline order; Engine options apart from the sample's."""
+    """Every field of the samples of one small picture at t1, in scanline order."""
     in_sample = {k: options.pop(k) for k in ("light_samples", "want_motion") if k in options}
     engine = Engine(subject, **options)
     pixel, x, y = frame_lanes(size_px)
@@ -307,7 +307,7 @@ def test_a_resting_mover_under_a_resting_camera_has_exactly_no_motion() -> None:
 
 
 def test_motion_in_a_mirror_is_that_of_the_reflection() -> None:
-    """A box beside the camera's axis drifts parallel to the mirror: its image drifts the same way, at the image's depth."""
+    """A box beside the camera's axis drifts parallel to the mirror: so does its image, at the image's depth."""
     mirror = diffuse((0.0, 0.0, 0.0), ambient=(0, 0, 0), specular=(1.0, 1.0, 1.0))
     glass = quad((-3, -3, 0), (6, 0, 0), (0, 6, 0), mirror)
     mover = Mover("box", (box((0, 0, 7.0), (6.0, 6.0, 0.5), diffuse()),), Drift((0, 0, 0), (0.48, 0.0, 0.0)))
@@ -366,7 +366,7 @@ def test_wrong_settings_are_named() -> None:
     ):
         with pytest.raises(InputError, match="wanted"):
             Engine(scene((WALL,)), **options)
+    engine = Engine(scene((WALL,)))
+    state = engine.state(view_at(0, RATE, Fraction(0), (1, 1), engine.scene.camera))
     with pytest.raises(InputError, match="a square"):
-        engine = Engine(scene((WALL,)))
-        state = engine.state(view_at(0, RATE, Fraction(0), (1, 1), engine.scene.camera))
         engine.sample(state, engine.camera_ray(state, 0.5, 0.5), light_samples=3)

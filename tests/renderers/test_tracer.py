@@ -17,7 +17,7 @@ from tests.renderers.scenes_by_hand import Scaled, box, crowd, diffuse, quad, sc
 
 def rays(count: int, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(seed)
-    origin = rng.uniform(-1, 1, (count, 3)) + [0, 0, 5]
+    origin = rng.uniform(-1, 1, (count, 3)) + np.array([0, 0, 5])
     target = rng.uniform(-1.2, 1.2, (count, 3))
     return origin, target - origin
 
@@ -86,7 +86,7 @@ def test_a_mover_is_there_only_in_its_seconds() -> None:
     mover = Mover("flash", crowd(1)[0].parts, crowd(1)[0].track, visible_s=(0.1, 0.2))
     subject = scene(movers=(mover,))
     at = mover.track.pose(np.array([0.05, 0.15, 0.25]))[:, :3, 3]
-    hits = Tracer(subject).trace(at + [0, 0, 5], np.tile([0, 0, -1.0], (3, 1)), np.array([0.05, 0.15, 0.25]))
+    hits = Tracer(subject).trace(at + np.array([0, 0, 5]), np.tile([0, 0, -1.0], (3, 1)), np.array([0.05, 0.15, 0.25]))
     np.testing.assert_array_equal(hits.mover, [-1, 0, -1])
 
 
