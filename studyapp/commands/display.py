@@ -11,6 +11,7 @@ from stimuli.errors import InputError, problem
 from studyapp.display.certificate import Certificate, certify
 from studyapp.display.choose import open_display
 from studyapp.lab_file import Lab, find_lab
+from studyapp.present.frame_loop import ask_realtime
 
 HELP = "measure the display: is it locked, at what rate, how well; writes its certificate"
 EXAMPLE = "studyapp display --display glfw --monitor 0 --size 1920x1080 --rate 240 --json"
@@ -40,6 +41,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--photometry-out", default="photometry.json", metavar="FILE", help="where the measured luminance goes"
     )
+    parser.add_argument("--realtime", action="store_true", help="ask the system for real-time priority first")
     parser.add_argument("--json", action="store_true", help="print the certificate as JSON")
 
 
@@ -50,6 +52,8 @@ def run(args: argparse.Namespace) -> int:
     size = parse_size(args.size) if args.size else lab.display.size_px
     rate = parse_rate(args.rate) if args.rate else Fraction(lab.display.rate_hz)
     monitor = args.monitor if args.monitor is not None else lab.display.monitor
+    # Before the display is opened: the driver's own threads inherit it.
+    priority = ask_realtime() if args.realtime else "normal"
     display = open_display(kind, size, rate, monitor)
     try:
         light = None

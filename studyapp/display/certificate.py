@@ -59,6 +59,7 @@ class Certificate:
     onset: str = SOFTWARE_ONSET
     light: Mapping[str, Any] | None = None
     photometry: Mapping[str, Any] | None = None
+    priority: str = "normal"
     machine: str = ""
     measured_utc: str = ""
 
@@ -80,6 +81,7 @@ def certify(
     photometry: Mapping[str, Any] | None = None,
     nominal_hz: Fraction | None = None,
     background_code: int = 119,
+    priority: str = "normal",
 ) -> Certificate:
     """Measure ``display`` over ``refreshes`` swaps (at least 480; three tries) and judge it against its nominal rate.
 
@@ -128,6 +130,7 @@ def certify(
         onset=SOFTWARE_ONSET if light is None else "onset by light sensor",
         light=light,
         photometry=photometry,
+        priority=priority,
         machine=f"{platform.system()} {platform.release()} {platform.machine()}",
         measured_utc=wall_clock_utc(),
     )
