@@ -168,3 +168,13 @@ def test_only_tiles_near_a_mover_are_dynamic() -> None:
     assert classes[14:18, 14:18].all()  # on the mover
     assert not classes[:6].any()  # far above it
     assert not classes[:, :4].any()
+
+
+def test_the_adaptive_order_pays_where_the_paper_says() -> None:
+    from tests.prove.temporally_dense_orders import measure
+
+    found = measure((0.0, 12.0, 45.0), (1,), 48, 8, 2)  # a fraction of `make prove`
+    mean = {angle: {order: np.mean(values) for order, values in orders.items()} for angle, orders in found.items()}
+    assert mean[0.0]["adaptive"] < min(mean[0.0][order] for order in ("hourglass", "bowtie", "random"))
+    assert mean[12.0]["adaptive"] < mean[12.0]["random"]
+    assert mean[45.0]["adaptive"] == mean[45.0]["random"]
