@@ -28,6 +28,7 @@ def _parser() -> argparse.ArgumentParser:
         action="store_true",
         help="exclusions, timing and gaze with coded condition names; locks the exclusions (exclusions.lock.json)",
     )
+    parser.add_argument("--registration", metavar="FILE", help="NAME.freeze.json: says what differs from it")
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
     return parser
 
@@ -43,6 +44,7 @@ def _report(argv: Sequence[str]) -> int:
         json_path=args.json,
         tables=args.tables,
         blind=args.blind,
+        registration=args.registration,
         show_progress=not args.quiet,
     )
     for path in written:

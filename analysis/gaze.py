@@ -81,7 +81,7 @@ def _rms_step_dva(samples: np.ndarray) -> float:
 def validated_accuracy_dva(session: Session) -> float:
     """Mean accuracy of the session's gaze validations, where the events hold them; else nan."""
     found = [
-        event["payload"].get("accuracy_dva")
+        event["payload"].get("accuracy_deg")
         for event in read_events(session)
         if event["kind"] in ("validation", "gaze_validation") and isinstance(event["payload"], dict)
     ]

@@ -26,20 +26,24 @@ from analysis.plan import plan_of, run_plan
 from analysis.plots import draw
 from analysis.protocol_facts import title_of
 from analysis.quality import response_effects
+from analysis.registration import compare
 from analysis.sessions import Session, combine, read_sessions
 from analysis.timing import Timing, onset_statement, refresh_timing
 
 FORMAT = 1
-_STEPS = ("read", "timing", "gaze", "tests")
 
 
 def analyse(
-    data: Iterable[str | Path], blind: bool = False, progress: Callable[[str], object] = lambda step: None
+    data: Iterable[str | Path],
+    blind: bool = False,
+    progress: Callable[[str], object] = lambda step: None,
+    registration: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Everything the report says, as JSON-ready data. ``progress`` is told each step as it begins.
 
     Keys: format, title, study, observer_kind, simulated, blind, glance (headline figures), sections (blocks as
-    `analysis.blocks` makes them), exclusion_lock. Raises InputError for data that cannot be analysed together.
+    `analysis.blocks` makes them), exclusion_lock. ``registration``: what `studyapp freeze` wrote. Raises InputError
+    for data that cannot be analysed together.
     """
     progress("reading sessions")
     sessions = read_sessions(data)
@@ -61,9 +65,11 @@ def analyse(
         progress("tests")
         plan = plan_of(sessions, kept)
         results = run_plan(plan, kept, lambda: progress("tests"))
+        analysed = int((exclusions.participants["analysed"] > 0).sum())
+        registered = compare(registration, sessions, analysed) if registration is not None else None
         preference, _ = sections.preference_section(kept, checks)
         ratings = sections.likert_section(kept, sessions) if len(kept) else None
-        found = [preference, ratings, sections.tests_section(results, plan, kept) if len(kept) else None]
+        found = [preference, ratings, sections.plan_section(results, plan, kept, registered) if len(kept) else None]
         found += [sections.manipulation_section(checks, luminance_differences(sessions))]
         found += [sections.quality_section(response_effects(kept, sessions), _triads(kept), exclusions.table)]
     onset = onset_statement(sessions)

@@ -18,6 +18,7 @@ from analysis.gaze import Gaze
 from analysis.plan import catch_table, likert_questions, within_factors
 from analysis.planned_test import Plan, Result
 from analysis.protocol_facts import replication_of
+from analysis.registration import Comparison
 from analysis.rows import rows_of_table
 from analysis.sessions import Session, group_text
 from analysis.timing import Timing, overrides
@@ -274,13 +275,22 @@ def _interaction(
     )
 
 
-def tests_section(results: Sequence[Result], plan: Plan, kept: pd.DataFrame) -> dict[str, Any]:
+def plan_section(
+    results: Sequence[Result], plan: Plan, kept: pd.DataFrame, registered: Comparison | None
+) -> dict[str, Any]:
     """Every planned test in the plan's order, with the sentence to paste."""
     if plan.stated:
         said = f"The tests are those of the study's analysis plan (α = {plan.alpha:g}, adjustment {plan.adjust})."
     else:
         said = "The study states no analysis plan: these tests were derived from its design, and are exploratory."
     blocks: list[Block] = [words_block(said, kind="words" if plan.stated else "warning")]
+    if registered is not None:
+        differ = registered.lines
+        said = "The tests marked exploratory, and all figures and tables outside this section, were not registered."
+        if differ:
+            blocks.append(words_block("Differs from the registration:", *differ, said, kind="warning"))
+        else:
+            blocks.append(words_block(f"As registered. {said}"))
     scenes = kept["scene"].nunique()
     if scenes < FEW_SCENES:
         blocks.append(
@@ -289,7 +299,9 @@ def tests_section(results: Sequence[Result], plan: Plan, kept: pd.DataFrame) -> 
     for place, result in enumerate(results):
         hypothesis = result.test.options.get("hypothesis")
         primary = result.test.options.get("primary", True)
-        head = f"{result.test.name} ({result.test.test}{'' if primary else ', secondary'})"
+        free = registered is not None and result.test.name not in registered.registered
+        words = [result.test.test, *([] if primary else ["secondary"]), *(["exploratory"] if free else [])]
+        head = f"{result.test.name} ({', '.join(words)})"
         note = " ".join(
             part for part in (result.method, *result.notes, f"Hypothesis: {hypothesis}" if hypothesis else "") if part
         )

@@ -12,6 +12,7 @@ from tqdm import tqdm
 
 from analysis.blocks import words_block
 from analysis.exclusions import compare_with_lock
+from analysis.registration import read_registration
 from analysis.report import analyse, render_html
 from stimuli.errors import InputError, problem
 
@@ -25,6 +26,7 @@ def write_report(
     json_path: str | Path | None = None,
     tables: str | Path | None = None,
     blind: bool = False,
+    registration: str | Path | None = None,
     show_progress: bool = False,
 ) -> list[Path]:
     """Analyse ``data`` and write the page (and what else is asked for); returns the paths written.
@@ -37,7 +39,8 @@ def write_report(
     if report.parent != Path() and not report.parent.is_dir():
         raise InputError(problem("--report", "folder", report.parent, "a folder that exists"))
     with tqdm(total=5, desc="analyse", disable=not show_progress, leave=False) as bar:
-        results = analyse(data, blind=blind, progress=lambda step: _step(bar, step))
+        frozen = read_registration(Path(registration)) if registration is not None else None
+        results = analyse(data, blind=blind, progress=lambda step: _step(bar, step), registration=frozen)
         locked = json.dumps(results["exclusion_lock"], indent=1) + "\n"
         if blind and lock_path.exists() and lock_path.read_text(encoding="utf-8") != locked:
             raise InputError(

@@ -17,13 +17,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", metavar="FILE", help="every number of the page")
     parser.add_argument("--tables", metavar="DIR", help="the tables as CSV and LaTeX")
     parser.add_argument("--blind", action="store_true", help="coded condition names, no answers; locks the exclusions")
+    parser.add_argument("--registration", metavar="FILE", help="NAME.freeze.json: says what differs from it")
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the analysis; returns its exit code (0, 1 or 2)."""
     command = [sys.executable, "-m", "analysis", *args.data, "--report", args.report]
-    for option in ("json", "tables"):
+    for option in ("json", "tables", "registration"):
         if getattr(args, option):
             command += [f"--{option}", getattr(args, option)]
     command += [f"--{flag}" for flag in ("blind", "quiet") if getattr(args, flag)]
