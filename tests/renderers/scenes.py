@@ -69,8 +69,8 @@ def scene_of(
 
 @dataclass(frozen=True)
 class SlidingCamera:
-    """Moves by ``velocity`` (world units a second) without turning, and is at the origin at second 1 (or ``from_s``); it
-    rests before ``from_s`` and after ``to_s``."""
+    """Moves by ``velocity`` (world units a second) without turning, and is at the origin at second 1 (or ``from_s``);
+    it rests before ``from_s`` and after ``to_s``."""
 
     velocity: tuple[float, float, float]
     yfov_rad: float = np.pi / 3
