@@ -4,7 +4,9 @@ Channel names and types (decisions.md): ``R G B albedo.R/G/B motion.X motion.Y``
 uint. Attributes of ours are strings named ``renderer/NAME`` that hold JSON. Equal pixels and attributes give equal
 bytes: the header holds no date and no machine.
 
-Compression was chosen by measurement (`python -m tests.prove.clip_formats`): ZIP, which every reader knows.
+Compression was chosen by measurement (`python -m tests.prove.clip_formats`; 2 cores, tunnel at 512x512): none 4.4 ms to
+write, 1.5 to read, 1582 kB; ZIP 14.6, 3.6, 757 kB; PIZ 12.1, 4.7, 746 kB. ZIP: half the disk, the fastest of the two to
+read, and every reader knows it.
 """
 
 from __future__ import annotations
