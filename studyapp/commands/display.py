@@ -69,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
             Path(args.photometry_out).write_text(json.dumps(photometry, indent=2) + "\n", encoding="utf-8")
         certificate = certify(
             display, args.refreshes, declared=lab.display.declared, encoding=lab.encoding_name(), light=light,
-            photometry=photometry, nominal_hz=None if kind != "glfw" or args.rate is None else rate,
+            photometry=photometry, priority=priority, nominal_hz=None if kind != "glfw" or args.rate is None else rate,
         )  # fmt: skip
     finally:
         display.close()
