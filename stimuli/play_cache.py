@@ -2,7 +2,7 @@
 
 One file a clip: a header of one page (JSON: clip, size, rate, encoding, checksum of the frames), then the frames, raw.
 Raw was chosen by measurement (`python -m tests.prove.clip_formats`; 2 cores, tunnel at 512x512, one frame to hand): raw
-0.001 ms and 1049 kB; blosc2 LZ4 0.28 ms and 581 kB; blosc2 ZSTD 0.69 ms and 329 kB; at 960x540 0.8 and 2.0 ms. A refresh
+0.001 ms and 1049 kB; blosc2 LZ4 0.28 ms and 581 kB; blosc2 ZSTD 0.69 ms and 329 kB; 960x540: 0.8 and 2.0 ms. A refresh
 at 240 Hz has 4.2 ms for three panels' upload, drawing and log, so disk is spent rather than that time.
 """
 
