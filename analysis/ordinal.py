@@ -53,7 +53,7 @@ def cumulative_link(
     one_of("cumulative_link", "link", link, LINKS)
     frame = model_frame("cumulative_link", table, formula, random)
     codes, levels = coded(table.iloc[frame.rows], frame.response)
-    names = [f"{a}|{b}" for a, b in itertools.pairwise(levels)]
+    names = [f"{_plain(a)}|{_plain(b)}" for a, b in itertools.pairwise(levels)]
     keep = [j for j, term in enumerate(frame.terms) if term != "(Intercept)"]
     x, terms = frame.x[:, keep], [frame.terms[j] for j in keep]
     # The thresholds take the place of the intercept: what is constant is aliased.
@@ -124,6 +124,11 @@ def binomial_mixed(
     if not len(y):
         return _nothing(frame, [*labels, *aliased], UNDEFINED, "no valid answer", what)
     return _fit(frame, bounds, np.zeros(len(used)), labels, aliased, link, nodes, 0, what, np.ones(len(used)))
+
+
+def _plain(level: Any) -> str:
+    """A category's name: 2.0, a rating in a column with missing values, is 2."""
+    return f"{level:g}" if isinstance(level, float) else str(level)
 
 
 def _quantile(share: np.ndarray, link: str) -> np.ndarray:
