@@ -37,7 +37,7 @@ class Ray:
 
 
 def camera_state(camera: CameraPath, space: TracerSpace, times_s: np.ndarray, size_px: tuple[int, int]) -> CameraState:
-    """The device's camera for these knots. Raises InputError for a size below 1 px, a field outside 0 to 180 degrees."""
+    """The device's camera for these knots. Raises InputError for a size below 1 px, a field not in (0, pi) rad."""
     width, height = size_px
     if width < 1 or height < 1:
         raise InputError(problem("size_px", "picture size", f"{width}x{height}", "at least 1x1"))

@@ -78,7 +78,7 @@ def pack(scene: Scene, space: TracerSpace, needs: Requirements) -> Geometry:
     """The arrays of ``scene`` in ``space``. Raises InputError for positions that are not finite and bad indices."""
     spaces = tuple(body_space(mover, space, scene.name) for mover in scene.movers)
     groups: list[tuple[int, TracerSpace | BodySpace, tuple[Part, ...]]] = [(0, space, scene.static)]
-    groups += [((m + 1, spaces[m], mover.parts) for m, mover in enumerate(scene.movers)]
+    groups += [(m + 1, spaces[m], mover.parts) for m, mover in enumerate(scene.movers)]
     numbers: dict[int, int] = {}
     materials: list[Material] = []
     bodies: list[Body] = []

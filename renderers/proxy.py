@@ -4,7 +4,7 @@ Bodies keep their own Mitsuba scenes, never rebuilt; only the boxes are rebuilt 
 the ray enters it, or when it leaves it having started inside; the walk ends when the next box is behind the best hit.
 Boxes are inflated by slightly different amounts, so that no two faces coincide. Where two faces still lie within one
 step of each other on a ray, the second is passed over unseen: so the walk remembers, in 64 bits, which bodies it has
-asked, and asks on leaving a box whose entry it never saw (without that, 10 of 518,400 pixels of bart_robots were wrong).
+asked, and asks on leaving a box whose entry it never saw (without that, 10 of 518,400 pixels of bart_robots are off).
 """
 
 from __future__ import annotations
