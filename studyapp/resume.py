@@ -39,6 +39,18 @@ def session_paths(folder: Path, study: str, participant: int) -> list[Path]:
     return [path for _, path in sorted(found)]
 
 
+def unfinished(path: Path) -> bool:
+    """Was this session begun and never completed?"""
+    db = sqlite3.connect(path)
+    try:
+        header = read_header(db)
+    except sqlite3.Error:
+        return False
+    finally:
+        db.close()
+    return "plan" in header and not header.get("completed_utc")
+
+
 def next_session_path(folder: Path, study: str, participant: int) -> tuple[Path, int]:
     """Where a new run goes, and its number (1, 2, ...)."""
     runs = [int(path.stem.rpartition("_")[2]) for path in session_paths(folder, study, participant)]

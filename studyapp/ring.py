@@ -7,6 +7,7 @@ counter that publishes it (x86-64 and the interpreter's locks keep that order; a
 
 from __future__ import annotations
 
+import signal
 from multiprocessing import get_context
 from multiprocessing.sharedctypes import RawArray
 from typing import Any
@@ -85,6 +86,11 @@ class RecordRing:
         out[first:] = self._slots[: n - first]
         self._counters[_READ] = written
         return out
+
+
+def leave_interrupts_to_the_session() -> None:
+    """In a child process: Ctrl-C is the session's to handle; a child ends when the session closes its pipe."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def spawn_context() -> Any:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from datetime import date
@@ -31,7 +32,7 @@ from studyapp.inclusion import answers_about_self
 from studyapp.lab_file import Lab, find_lab, photometry_age_warning
 from studyapp.manifest_source import Manifests
 from studyapp.present.presenter import Presenter
-from studyapp.resume import Interrupted, answers_so_far, interrupted, mend, next_session_path, session_paths
+from studyapp.resume import Interrupted, answers_so_far, interrupted, mend, next_session_path, session_paths, unfinished
 from studyapp.seams import Display
 from studyapp.session import Progress, Session, SessionStopped, Sources, finish
 from studyapp.session_devices import SessionDevices, emulated_devices, lab_devices
@@ -87,6 +88,9 @@ def run_session(request: RunRequest) -> RunDone:
     if before is None:
         about = answers_about_self(study, request.simulated, request.about, request.overrides)
     _writable(request.data)
+    earlier = session_paths(request.data, study.study, request.participant)
+    if before is None and earlier and unfinished(earlier[-1]):
+        print(f"note: {earlier[-1]} was interrupted (--resume goes on with it); this is a new run", file=sys.stderr)
     kind = request.display or lab.display.kind
     sources, clip_rows = _sources(request, study, kind)
     used = []

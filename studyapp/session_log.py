@@ -22,7 +22,7 @@ import numpy as np
 from protocols.records import FLIP_DTYPE
 from studyapp import clock
 from studyapp.devices.records import EVENT_RING_DTYPE, FIT_RING_DTYPE, GAZE_RING_DTYPE, events_from_ring, fits_from_ring
-from studyapp.ring import RecordRing, spawn_context
+from studyapp.ring import RecordRing, leave_interrupts_to_the_session, spawn_context
 from studyapp.session_file import EventRow, ResponseRow, SessionFile, TrialRow
 
 if TYPE_CHECKING:  # pylsl is loaded only where markers are asked for
@@ -367,6 +367,7 @@ class _Writer:
 
 def write_session(pipe: Connection, path: str, flips: RecordRing, streams: StreamRings, markers: str) -> None:
     """The writer process: runs until told to finish or until the presenter's process is gone."""
+    leave_interrupts_to_the_session()
     started_ns = clock.now_ns()
     try:
         writer = _Writer(path, flips, streams)
@@ -379,8 +380,6 @@ def write_session(pipe: Connection, path: str, flips: RecordRing, streams: Strea
         _serve(pipe, writer, started_ns)
     except sqlite3.Error as error:
         _answer(pipe, ("failed", str(error)))
-    except KeyboardInterrupt:
-        pass  # the presenter decides; its end of the pipe closes when it goes
 
 
 def _answer(pipe: Connection, message: tuple[str, object]) -> None:
@@ -402,8 +401,6 @@ def _serve(pipe: Connection, writer: _Writer, started_ns: int) -> None:
             writer.commit()
             writer.file.close()
             return
-        except KeyboardInterrupt:
-            continue
         writer.drain()
         if message == "finish":
             writer.commit()

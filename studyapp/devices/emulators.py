@@ -20,7 +20,7 @@ import numpy as np
 from studyapp.clock import now_ns
 from studyapp.devices.decoders import BYTE_BOXES, xid_packet
 from studyapp.gaze.angles import ScreenGeometry
-from studyapp.ring import spawn_context
+from studyapp.ring import leave_interrupts_to_the_session, spawn_context
 
 HOLD_NS = 60_000_000  # how long a simulated finger stays down
 
@@ -78,6 +78,7 @@ class BoxFirmware:
 def emulate_box(pipe: Connection, kind: str, model: str, drift_ppm: float) -> None:
     """The process of a box on a pseudo-terminal. Told ('press', key, at_ns), ('noise', bytes) or ('flood', hz, s); says
     ('port', name) at first and ('pressed', key, ns) after each."""
+    leave_interrupts_to_the_session()
     master, slave = os.openpty()
     tty.setraw(master)
     tty.setraw(slave)
@@ -120,13 +121,14 @@ def emulate_box(pipe: Connection, kind: str, model: str, drift_ppm: float) -> No
                     _, key, at_ns = message
                     due += [(at_ns, key, True), (at_ns + HOLD_NS, key, False)]
                     due.sort()
-    except (EOFError, OSError, KeyboardInterrupt):
+    except (EOFError, OSError):
         return  # the session is over
 
 
 def emulate_gaze(pipe: Connection, source_id: str, rate_hz: float, screen: ScreenGeometry, seed: int) -> None:
     """The process of an eye tracker on LSL. Told ('look', x_dva, y_dva) or ('blink', seconds); looks at the centre at
     first, with 0.1 degrees of noise. Says ('port', source_id) once the stream is up."""
+    leave_interrupts_to_the_session()
     from studyapp.devices.lsl import keep_to_this_machine, outlet_of_gaze
 
     keep_to_this_machine()
@@ -159,7 +161,7 @@ def emulate_gaze(pipe: Connection, source_id: str, rate_hz: float, screen: Scree
             sent += n
             # liblsl counts back from the newest sample's stamp by the nominal rate.
             outlet.push_chunk(block, start_ns * 1e-9 + sent / rate_hz + offset_s)
-    except (EOFError, OSError, KeyboardInterrupt):
+    except (EOFError, OSError):
         return  # the session is over
 
 

@@ -20,7 +20,7 @@ from studyapp.devices.decoders import BOX_KINDS
 from studyapp.devices.device import Batch, Device, DeviceEvent, DeviceGone, DeviceSpec
 from studyapp.devices.records import FIT_RING_DTYPE, GAZE_RING_DTYPE, PRESS_RING_DTYPE, event_record, press_from_record
 from studyapp.devices.records import press_record as as_record
-from studyapp.ring import RecordRing, spawn_context
+from studyapp.ring import RecordRing, leave_interrupts_to_the_session, spawn_context
 from studyapp.seams import Press
 from studyapp.session_log import StreamRings
 
@@ -209,6 +209,7 @@ def read_devices(
     pipe: Connection, specs: Sequence[DeviceSpec], streams: StreamRings, presses: RecordRing, board: StatusBoard
 ) -> None:
     """The reader process: runs until its pipe is closed or says something."""
+    leave_interrupts_to_the_session()
     reader = _Reader(specs, streams, presses, board)
     board.beat()
     try:
@@ -220,7 +221,7 @@ def read_devices(
             board.beat()
             if pipe.poll():
                 break
-    except (EOFError, KeyboardInterrupt):
+    except EOFError:
         pass  # the session is over
     finally:
         for device in reader.devices:

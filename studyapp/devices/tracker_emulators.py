@@ -15,12 +15,14 @@ import zmq
 from studyapp.clock import now_ns
 from studyapp.devices.emulators import Emulator
 from studyapp.gaze.angles import ScreenGeometry
+from studyapp.ring import leave_interrupts_to_the_session
 
 TICK_HZ = 10_000_000
 
 
 def emulate_gazepoint(pipe: Connection, rate_hz: float, screen: ScreenGeometry, drift_ppm: float, seed: int) -> None:
     """A server of Open Gaze records. Told ('look', x_dva, y_dva), ('blink', on), ('raw', bytes)."""
+    leave_interrupts_to_the_session()
     server = socket.create_server(("127.0.0.1", 0))
     pipe.send(("port", f"127.0.0.1:{server.getsockname()[1]}"))
     rng = np.random.default_rng(seed)
@@ -65,12 +67,13 @@ def emulate_gazepoint(pipe: Connection, rate_hz: float, screen: ScreenGeometry, 
                         f'<REC CNT="{sent}" TIME="{device_s:.5f}"{gap}TIME_TICK="{round(device_s * TICK_HZ)}" '
                         f'BPOGX="{x:.5f}" BPOGY="{y:.5f}" BPOGV="{0 if shut else 1}" LPUPILD="0.00350" />\r\n'.encode()
                     )
-    except (EOFError, OSError, KeyboardInterrupt):
+    except (EOFError, OSError):
         return  # the session is over
 
 
 def emulate_pupil(pipe: Connection, rate_hz: float, screen: ScreenGeometry, drift_ppm: float, seed: int) -> None:
     """Pupil Remote and its data port. Told ('look', x_dva, y_dva), ('blink', on), ('raw', topic, bytes)."""
+    leave_interrupts_to_the_session()
     context = zmq.Context()
     remote, data = context.socket(zmq.REP), context.socket(zmq.PUB)
     remote_port, data_port = remote.bind_to_random_port("tcp://127.0.0.1"), data.bind_to_random_port("tcp://127.0.0.1")
@@ -106,7 +109,7 @@ def emulate_pupil(pipe: Connection, rate_hz: float, screen: ScreenGeometry, drif
                     "timestamp": sent / rate_hz * (1 + drift_ppm * 1e-6), "base_data": [{"diameter_3d": 3.4}],
                 }  # fmt: skip
                 data.send_multipart([b"gaze.3d.01.", msgpack.packb(datum, use_bin_type=True)])
-    except (EOFError, OSError, KeyboardInterrupt):
+    except (EOFError, OSError):
         return  # the session is over
     finally:
         context.destroy(0)
