@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import resource
 import signal
 import sqlite3
 import subprocess
@@ -205,3 +206,19 @@ def test_a_data_folder_that_cannot_be_written_stops_before_anything_is_shown(
     arguments[arguments.index("--data") + 1] = "/proc/nowhere"
     assert main(arguments) in (1, 2)
     assert "/proc/nowhere" in capsys.readouterr().err
+
+
+def test_a_disk_that_fills_up_is_one_line_and_resume_completes(tiny: Path) -> None:
+    tiny.write_text(TINY.replace("repetitions: 2", "repetitions: 40"))
+    process, pids = started(run_arguments(tiny), tiny.parent / "pids.json")
+    resource.prlimit(pids["writer"], resource.RLIMIT_FSIZE, (300_000, 300_000))
+    _, said = process.communicate(timeout=60)
+    assert process.returncode == 1
+    (line,) = said.strip().splitlines()
+    assert "every acknowledged trial is on disk" in line
+    before = completed_cells(session_path(tiny))
+    assert main(run_arguments(tiny, "--resume")) == 0
+    after = completed_cells(session_path(tiny))
+    assert set(before) <= set(after)
+    assert after == Counter(range(123))
+    assert verify(session_path(tiny)) == []
