@@ -107,6 +107,15 @@ _ENTRIES: tuple[Entry, ...] = (
         knobs={"samples_per_s": (1e5, 4e5, 8e5, 1.6e6, 3.2e6, 6.4e6)},
         baseline=True,
     ),
+    Entry(
+        name="traditional_frameless",
+        summary="pixels in random order, each at its own time; the newest sample is shown",
+        params=p.TraditionalFrameless,
+        module="renderers.adaptive_frameless.traditional",
+        class_name="TraditionalFrameless",
+        knobs={"samples_per_s": (1e5, 4e5, 8e5, 1.6e6, 3.2e6, 6.4e6)},
+        baseline=True,
+    ),
 )
 CATALOGUE: Mapping[str, Entry] = {entry.name: entry for entry in _ENTRIES}
 

@@ -73,3 +73,9 @@ class FramedLowRate(Parameters):
 
     samples_per_s: float = Field(3.3e6, gt=0)
     delay_frames: int = Field(0, ge=0, le=8)
+
+
+class TraditionalFrameless(Parameters):
+    """Bishop et al. 1994: ``samples_per_s`` single pixels a second in random order; each shows its newest sample."""
+
+    samples_per_s: float = Field(400_000.0, gt=0)

@@ -1,0 +1,127 @@
+"""The one frozen kernel of the frameless techniques: a chunk of samples, each at its own time, in one launch.
+
+What goes in and what comes out are two flat buffers of rows, so that a launch costs one copy each way. The same lanes
+carry the visibility rays of the sampler's reprojected crosshairs (Dayal et al. 2005, section 6.1).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from renderers.backend import dr, mi
+from renderers.engine import Engine, EngineState
+from renderers.frozen import frozen, opaque_float, opaque_uint
+from renderers.rng import combined
+
+IN = 8
+"""Columns of an input row: x, y (px), time (s after t1), then a visibility ray's target (3, tracer space), its time,
+and whether there is one (1 or 0)."""
+OUT = 16
+"""Columns of an output row; see the constants below."""
+RED, GREEN, BLUE, LOCAL_X, LOCAL_Y, LOCAL_Z, MOVER, VISIBLE = range(8)
+COUNTED = ("shadow", "ambient_occlusion", "reflection", "transmission", "probe")
+FIRST_COUNT = 8
+CLAMPED = FIRST_COUNT + len(COUNTED)
+FAR = 1000.0
+"""Where the background is taken to be, in tracer units (the scene's radius is below 2)."""
+
+
+@dataclass(frozen=True)
+class HostPoses:
+    """What moves in one refresh, for the host's own projections (tracer space, float64).
+
+    ``camera`` (K, 3, 4) and ``movers`` (M + 1, K, 3, 4) at the knots from t0 to t1; ``window`` (M + 1, 2): seconds
+    after t1 in which each exists; ``lens``: span t0 - t1 (s), centre x, y (px), a pixel's size one unit ahead.
+    """
+
+    camera: np.ndarray
+    movers: np.ndarray
+    window: np.ndarray
+    lens: np.ndarray
+
+
+def host_poses(state: EngineState) -> HostPoses:
+    """The poses that the kernels of ``state`` use."""
+    knots = state.camera.poses.knots
+    return HostPoses(
+        camera=np.array(state.camera.poses.forward.numpy(), np.float64).reshape(knots, 3, 4),
+        movers=np.array(state.poses.forward.numpy(), np.float64).reshape(-1, knots, 3, 4),
+        window=np.array(state.poses.window.numpy(), np.float64).reshape(-1, 2),
+        lens=np.array(
+            [
+                state.camera.poses.span_s.numpy()[0],
+                state.camera.center_x_px.numpy()[0],
+                state.camera.center_y_px.numpy()[0],
+                state.camera.pixel.numpy()[0],
+            ],
+            np.float64,
+        ),
+    )
+
+
+class FramelessRays:
+    """Samples of an engine's scene at their own places and times. ``follow_movers``: hits are told in their mover's own
+    space, so that they can be found where it has moved to; else as points that rest."""
+
+    def __init__(self, engine: Engine, follow_movers: bool = True, visibility: bool = True) -> None:
+        self.engine, self.follow_movers = engine, follow_movers
+        self._visibility = visibility
+        self._kernel = frozen(self._trace)
+        self._lanes: dict[int, tuple[Any, Any]] = {}
+
+    @property
+    def recordings(self) -> int:
+        """How often the kernel was recorded."""
+        return self._kernel.recordings
+
+    def _trace(self, state: EngineState, lane: Any, rows: Any, seed: Any, out: Any) -> Any:
+        first = dr.gather(mi.Vector4f, rows, lane * 2)
+        second = dr.gather(mi.Vector4f, rows, lane * 2 + 1)
+        time_s = first.z
+        # The sample.
+        ray = self.engine.camera_ray(state, first.x, first.y, time_s)
+        sample = self.engine.sample(state, ray, time_s, rng=combined(seed, lane))
+        place = sample.point_local if self.follow_movers else sample.point
+        mover = mi.Float(sample.mover) if self.follow_movers else mi.Float(0)
+        place = dr.select(sample.hit, place, mi.Point3f(ray.o + ray.d * FAR))
+        mover = dr.select(sample.hit, mover, 0)
+        visible = mi.Float(1)
+        if self._visibility:
+            # The ray from a reprojected crosshair's centre to the eye.
+            asked = second.w > 0
+            eye = self.engine.camera_ray(state, first.x, first.y, second.z).o
+            target = mi.Point3f(first.w, second.x, second.y)
+            seen = self.engine.visible(state, target, mi.Point3f(eye), second.z, asked)
+            visible = dr.select(asked & ~seen, mi.Float(0), 1)
+        counts = [mi.Float(sample.rays[kind]) for kind in COUNTED]
+        color = sample.color
+        base = lane * (OUT // 4)
+        dr.scatter(out, mi.Vector4f(color.x, color.y, color.z, place.x), base)
+        dr.scatter(out, mi.Vector4f(place.y, place.z, mover, visible), base + 1)
+        dr.scatter(out, mi.Vector4f(*counts[:4]), base + 2)
+        dr.scatter(out, mi.Vector4f(counts[4], mi.Float(sample.clamped), 0, 0), base + 3)
+        return out
+
+    def trace(self, state: EngineState, rows: np.ndarray, seed: int) -> np.ndarray:
+        """(n, IN) float32 rows -> (n, OUT) float32 results, valid until the next call of the same n; n may be 0."""
+        lanes = len(rows)
+        if lanes not in self._lanes:
+            if len(self._lanes) >= 64:
+                self._lanes.clear()
+            self._lanes[lanes] = (opaque_uint(np.arange(lanes)), opaque_float(np.zeros(lanes * OUT)))
+        lane, out = self._lanes[lanes]
+        out = self._kernel(lanes, state, lane, opaque_float(rows), opaque_uint(seed), out)
+        if out is None:
+            return np.zeros((0, OUT), np.float32)
+        self._lanes[lanes] = (lane, out)
+        found: np.ndarray = out.numpy().reshape(lanes, OUT)
+        return found
+
+
+def counted(totals: np.ndarray, primary: int, visibility: int) -> dict[str, int]:
+    """`Frame.rays` from the sums of the result columns (OUT,)."""
+    rays = {"primary": primary, "visibility": visibility}
+    return rays | {kind: int(totals[FIRST_COUNT + k]) for k, kind in enumerate(COUNTED)}
