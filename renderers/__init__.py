@@ -8,7 +8,7 @@ from typing import Any
 _PUBLIC = {
     "TECHNIQUES": "renderers.catalogue",
     "Tracer": "renderers.tracer",
-    "render_clip": "renderers.render_clip",
+    "render_clip": "renderers.clip_frames",
 }
 __all__ = sorted(_PUBLIC)
 
@@ -16,6 +16,4 @@ __all__ = sorted(_PUBLIC)
 def __getattr__(name: str) -> Any:
     if name not in _PUBLIC:
         raise AttributeError(f"module 'renderers' has no attribute {name!r}")
-    value = getattr(import_module(_PUBLIC[name]), name)
-    globals()[name] = value  # the function, not the submodule of the same name
-    return value
+    return getattr(import_module(_PUBLIC[name]), name)

@@ -14,7 +14,7 @@ from renderers.backend import dr, mi
 from renderers.engine import Engine, EngineState
 from renderers.frozen import Frozen, frozen
 from renderers.mitsuba_scene import diffuse_only, mitsuba_scene
-from renderers.render_clip import view_at
+from renderers.clip_frames import view_at
 from renderers.vanilla import frame_lanes
 from stimuli.scene import Scene
 

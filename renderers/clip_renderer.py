@@ -24,7 +24,7 @@ from renderers.backend import dr
 from renderers.catalogue import CATALOGUE, TECHNIQUES, entry
 from renderers.engine import Engine
 from renderers.reference import ReferenceRenderer
-from renderers.render_clip import technique_params
+from renderers.clip_frames import technique_params
 from renderers.render_unit import RenderedFrame
 from renderers.technique import Frame, Gaze, Technique, View, ViewGeometry
 from renderers.units import Unit, block_sizes, twin_seed

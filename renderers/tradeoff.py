@@ -23,7 +23,7 @@ from renderers.catalogue import CATALOGUE, TECHNIQUES, entry
 from renderers.engine import Engine
 from renderers.metrics import pixels_per_degree, sequence_error
 from renderers.motion_picture import MotionPicture
-from renderers.render_clip import scene_exposure, technique_params, view_at
+from renderers.clip_frames import scene_exposure, technique_params, view_at
 from renderers.technique import Frame, Gaze, Measure
 from stimuli.encode import display_values
 from stimuli.scene import CameraPath, Scene

@@ -156,6 +156,53 @@ def _binomial(t: pd.DataFrame) -> dict[str, float]:
     return {"binomial_mixed p": _hit(made), "binomial_mixed interval": _missed(made, 0, "ci_low", "ci_high")}
 
 
+def measured(n: int, observers: Observers, rng: np.random.Generator) -> pd.DataFrame:
+    """Normal values with known effects: y of item i by rater j, with item and rater variance 1 and residual 1."""
+    i, j = np.indices((n, 4))
+    y = rng.standard_normal((n, 1)) + rng.standard_normal((1, 4)) + rng.standard_normal((n, 4))
+    return pd.DataFrame({"item": i.ravel(), "rater": j.ravel(), "y": y.ravel(), "noise": rng.standard_normal(4 * n)})
+
+
+def _effect_sizes(t: pd.DataFrame) -> dict[str, float]:
+    """Intervals about effects that are not zero: d_z 0.8, eta squared, intraclass correlations."""
+    n = t["item"].nunique()
+    shifted = t.assign(y=t["noise"] + 0.5 * t["rater"])
+    noncentrality = n * float(np.sum((0.5 * (np.arange(4) - 1.5)) ** 2))
+    eta2 = noncentrality / (noncentrality + 4 * n - 4)
+    one = analysis.oneway_anova(shifted, "y", "rater", eta2_level=0.95)
+    noise = t["noise"].to_numpy().reshape(n, 4)
+    pair = pd.DataFrame({"p": np.tile(range(n), 2), "c": np.repeat(["a", "b"], n)})
+    pair["y"] = np.concatenate([noise[:, 0] * 1.0 + 0.8, np.zeros(n)])
+    dz = analysis.posthoc_t(pair, "y", "c", "p")
+    # Without rater variance all three forms have the same true value, 1 / 2.
+    plain = t.assign(
+        y=np.repeat(noise[:, 3], 4) + np.random.default_rng(int(1e9 * abs(noise[0, 0]))).normal(size=4 * n)
+    )
+    icc = analysis.agreement(plain, "item", "rater", "y", n_boot=2).set_index("measure")
+    full = analysis.agreement(t, "item", "rater", "y", n_boot=2).set_index("measure")
+    return {
+        "eta2 95 % interval": _missed(one, 0, "eta2_low", "eta2_high", eta2),
+        "dz interval at 0.8": _missed(dz, 0, "dz_low", "dz_high", 0.8),
+        "ICC1 interval": _missed(icc.loc[["ICC1"]], 0, "ci_low", "ci_high", 0.5),
+        "ICC3 interval": _missed(full.loc[["ICC3"]], 0, "ci_low", "ci_high", 0.5),
+        "ICC2 interval (approximate)": _missed(full.loc[["ICC2"]], 0, "ci_low", "ci_high", 1 / 3),
+    }
+
+
+def detections(n: int, observers: Observers, rng: np.random.Generator) -> pd.DataFrame:
+    """Psychometric data of participants whose thresholds differ about 0 by the preference SD."""
+    own = observers.preference_sd * rng.standard_normal(n)
+    p, level = (v.ravel() for v in np.indices((n, 7)))
+    x = np.linspace(-3, 3, 7)[level]
+    k = rng.binomial(20, special.expit(1.5 * (x - own[p])))
+    return pd.DataFrame({"participant": p, "x": x, "k": k, "n": 20})
+
+
+def _psychometric(t: pd.DataFrame) -> dict[str, float]:
+    made = analysis.psychometric(t, "x", "k", "n", observer="participant")
+    return {"psychometric threshold interval": _missed(made, 0, "ci_low", "ci_high")}
+
+
 # (name, table, probe, observers it is right for, share of the studies that it is given)
 PROBES: tuple[tuple[str, Callable[..., pd.DataFrame], Probe, Callable[[Observers], bool], float], ...] = (
     ("rm_anova", ratings, _rm_anova, lambda o: True, 1.0),
@@ -165,6 +212,8 @@ PROBES: tuple[tuple[str, Callable[..., pd.DataFrame], Probe, Callable[[Observers
     ("linear_mixed", ratings, _linear, lambda o: True, 1.0),
     ("binomial_choice", choices, _choice, lambda o: True, 1.0),
     ("scales", choices, _scales, lambda o: True, 1.0),
+    ("effect_sizes", measured, _effect_sizes, lambda o: o == Observers(0.0, 0.0), 1.0),
+    ("psychometric", detections, _psychometric, lambda o: o.scene_sd == 0, 1.0),
     # A random intercept per participant is the whole model only where preferences by technique do not differ.
     ("cumulative_link", ratings, _cumulative, lambda o: o == Observers(0.0, 0.0), 1.0),
     ("binomial_mixed", choices, _binomial, lambda o: o.scene_sd == 0, 1.0),

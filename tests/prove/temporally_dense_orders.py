@@ -17,7 +17,7 @@ from renderers.engine import Engine
 from renderers.parameters import Reference
 from renderers.parameters import TemporallyDense as Params
 from renderers.reference import ReferenceRenderer
-from renderers.render_clip import view_at
+from renderers.clip_frames import view_at
 from renderers.temporally_dense.technique import TemporallyDense
 from stimuli.encode import display_values
 from tests.renderers.scenes import SlidingCamera, noise_pixels, quad, scene_of, unlit, velocity_for

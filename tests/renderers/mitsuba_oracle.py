@@ -11,7 +11,7 @@ from renderers.backend import mi
 from renderers.engine import Engine
 from renderers.frozen import opaque_float
 from renderers.mitsuba_scene import mitsuba_scene
-from renderers.render_clip import view_at
+from renderers.clip_frames import view_at
 from renderers.vanilla import frame_lanes
 from stimuli.scene import Scene
 

@@ -12,7 +12,7 @@ import pytest
 
 from renderers.engine import Engine
 from renderers.frozen import frozen
-from renderers.render_clip import view_at
+from renderers.clip_frames import view_at
 from renderers.vanilla import frame_lanes
 from stimuli.errors import InputError
 from stimuli.scene import Light, Material, Mover, Scene, StillCamera

@@ -11,7 +11,7 @@ import pytest
 
 from renderers import TECHNIQUES, render_clip
 from renderers.engine import Engine
-from renderers.render_clip import scene_exposure, view_at
+from renderers.clip_frames import scene_exposure, view_at
 from stimuli.errors import InputError
 from stimuli.scene import Light, Mover
 from tests.renderers.scenes_by_hand import Drift, box, crowd, diffuse, quad, scene
@@ -93,7 +93,7 @@ def test_light_samples_are_counted() -> None:
 
 def test_nothing_is_rendered_before_it_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
     built = []
-    module = sys.modules["renderers.render_clip"]  # the package's attribute of this name is the function
+    module = sys.modules["renderers.clip_frames"]  # the package's attribute of this name is the function
     monkeypatch.setattr(module, "Engine", lambda *a, **k: built.append(1) or Engine(*a, **k))
     frames = render_clip(SUBJECT, "vanilla", (8, 8), 240, 1.0)
     assert not built

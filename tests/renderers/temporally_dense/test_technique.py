@@ -10,7 +10,7 @@ import pytest
 from renderers.engine import Engine
 from renderers.parameters import TemporallyDense as Params
 from renderers.parameters import Vanilla as VanillaParams
-from renderers.render_clip import view_at
+from renderers.clip_frames import view_at
 from renderers.temporally_dense.pixel_order import STATIC_JITTER
 from renderers.temporally_dense.technique import TemporallyDense
 from renderers.vanilla import Vanilla
