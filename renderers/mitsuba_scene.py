@@ -21,8 +21,8 @@ from stimuli.errors import InputError, problem
 from stimuli.scene import Light, Material, Part, Phong, Scene
 
 
-def diffuse_only(scene: Scene) -> Scene:
-    """``scene`` with every material replaced by a diffuse one of its colour (textures only where the colour is white),
+def diffuse_only(scene: Scene, textures: bool = True) -> Scene:
+    """``scene`` with every material replaced by a diffuse one of its colour (``textures`` only where that is white),
     without ambient light and emission."""
     memo: dict[int, Material] = {}
 
@@ -33,7 +33,7 @@ def diffuse_only(scene: Scene) -> Scene:
             color = (float(red), float(green), float(blue))
             if material.phong is not None:
                 color = material.phong.diffuse
-            texture = material.pbr.baseColorTexture if color == (1.0, 1.0, 1.0) else None
+            texture = material.pbr.baseColorTexture if textures and color == (1.0, 1.0, 1.0) else None
             pbr = pyrender.MetallicRoughnessMaterial(baseColorFactor=np.array([*color, 1.0]), baseColorTexture=texture)
             memo[id(material)] = Material(material.name, pbr, Phong((0, 0, 0), color, (0, 0, 0), 1.0))
         return memo[id(material)]
