@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.ndimage import map_coordinates
@@ -62,7 +63,7 @@ def flip(test: np.ndarray, reference: np.ndarray, pixels_per_degree: float) -> f
 
 
 def pixels_per_degree(width_px: int, height_px: int, yfov_rad: float, geometry: ViewGeometry | None) -> float:
-    """Of a flat screen seen from its distance (pi / 180 * distance * pixels / width); without one W / horizontal field."""
+    """pi / 180 * distance * pixels / width of a flat screen; where none is given, W / the camera's horizontal field."""
     if geometry is not None:
         return math.pi / 180 * geometry.distance_m * width_px / geometry.width_m
     horizontal_deg = 2 * math.degrees(math.atan(math.tan(yfov_rad / 2) * width_px / height_px))
@@ -158,7 +159,7 @@ def ring_rmse(
     """RMSE in each ring edges[i] <= eccentricity < edges[i + 1]; nan for a ring without pixels."""
     squared = np.mean((np.asarray(test, np.float64) - np.asarray(reference, np.float64)) ** 2, axis=2)
     rings = []
-    for low, high in zip(edges_deg[:-1], edges_deg[1:], strict=True):
+    for low, high in pairwise(edges_deg):
         inside = (eccentricity_deg >= low) & (eccentricity_deg < high)
         rings.append(float(np.sqrt(squared[inside].mean())) if inside.any() else math.nan)
     return rings

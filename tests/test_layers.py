@@ -121,3 +121,10 @@ def test_no_index_address_or_machine_path_is_in_the_tree() -> None:
             text = path.read_text(errors="ignore")
             found += [f"{name}: {word}" for word in bad if word in text]
     assert found == []
+
+
+@pytest.mark.parametrize("package", ["stimuli", "renderers", "protocols", "analysis"])
+def test_no_public_name_is_hidden_by_a_module_of_the_same_name(package: str) -> None:
+    public = __import__(package).__all__
+    modules = {path.stem for path in (ROOT / package).glob("*.py")} | {p.name for p in (ROOT / package).iterdir() if p.is_dir()}
+    assert set(public) & modules == set()
