@@ -18,7 +18,7 @@ from studyapp.devices.simulated import BoxAnswers, EmulatedPresses, LeapingPress
 from studyapp.gaze.angles import ScreenGeometry
 from studyapp.lab_file import Lab
 from studyapp.seams import Display
-from studyapp.session_log import StreamRings
+from studyapp.session_writer import StreamRings
 from studyapp.trial import AnswerDevice
 
 TRACKER_KINDS = ("lsl", "gazepoint", "pupil")

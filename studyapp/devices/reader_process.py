@@ -22,7 +22,7 @@ from studyapp.devices.records import FIT_RING_DTYPE, GAZE_RING_DTYPE, PRESS_RING
 from studyapp.devices.records import press_record as as_record
 from studyapp.ring import RecordRing, leave_interrupts_to_the_session, spawn_context
 from studyapp.seams import Press
-from studyapp.session_log import StreamRings
+from studyapp.session_writer import StreamRings
 
 OPENING, ALIVE, GONE = 0, 1, 2
 HEARTBEAT_LIMIT_S = 1.0  # of a reader that lives and does not come round; a dead one is noticed at once
