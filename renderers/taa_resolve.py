@@ -46,7 +46,8 @@ def resolve(
     mx, my = longest_of_3x3(motion, x, y, width, height)
     from_x, from_y = mi.Float(x) + 0.5 - mx, mi.Float(y) + 0.5 - my
     inside = (from_x >= 0) & (from_x <= width) & (from_y >= 0) & (from_y <= height)
-    before = to_ycocg(catmull_rom(history, from_x, from_y, width, height, inside))
+    # the cubic's overshoot beside bright features is below zero: black specks, if it were kept
+    before = to_ycocg(dr.maximum(catmull_rom(history, from_x, from_y, width, height, inside), 0))
     near = [to_ycocg(colour) for colour in neighbours(current, x, y, width, height)]
     new = near[4]
     if form == "longest":

@@ -35,7 +35,7 @@ def history_at(picture: np.ndarray, x: float, y: float) -> np.ndarray:
     for j, wy in enumerate(cubic(gy - y0)):
         for i, wx in enumerate(cubic(gx - x0)):
             total += wx * wy * picture[min(max(y0 + j - 1, 0), height - 1), min(max(x0 + i - 1, 0), width - 1)]
-    return total
+    return np.maximum(total, 0)
 
 
 def oracle(form: str, current: np.ndarray, motion: np.ndarray, history: np.ndarray, alpha: float) -> np.ndarray:
