@@ -73,7 +73,7 @@ class Levels:
         return x @ ((self.k * q - (self.n - self.k) * p) * per_answer), (x * (self.n * density * per_answer)) @ x.T
 
 
-def _maximum(levels: Levels) -> tuple[np.ndarray, np.ndarray, bool]:
+def _maximum(levels: Levels, start: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, bool]:
     """(alpha, beta), expected information, converged: the best of a grid, refined by Fisher scoring."""
     middle = np.linspace(-2.5, 2.5, 41)
     steep = np.concatenate([np.geomspace(0.1, 60, 30), -np.geomspace(0.1, 60, 30)])
@@ -86,8 +86,12 @@ def _maximum(levels: Levels) -> tuple[np.ndarray, np.ndarray, bool]:
         value = float(levels.log_likelihood(point[0], point[1]))
         return -value if math.isfinite(value) else 1e300
 
-    found = optimize.minimize(objective, theta, method="Nelder-Mead", options={"xatol": 1e-6, "fatol": 1e-10})
-    theta, value = found.x, -found.fun
+    if start is None:
+        found = optimize.minimize(objective, theta, method="Nelder-Mead", options={"xatol": 1e-6, "fatol": 1e-10})
+        theta, value = found.x, -found.fun
+    else:
+        # Near a known maximum Fisher scoring alone is enough.
+        theta, value = start, -objective(start)
     converged = False
     for _ in range(200):
         gradient, information = levels.slopes(theta)
@@ -147,7 +151,7 @@ def psychometric(
         return _no_estimate(*trouble, method, n_subjects, dropped)
     shift, width = float(np.mean(scale_of)), float(np.ptp(scale_of)) / 2
 
-    def fit(weight: np.ndarray) -> tuple[np.ndarray, np.ndarray, bool, Levels]:
+    def fit(weight: np.ndarray, start: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, bool, Levels]:
         unique, index = np.unique(scale_of, return_inverse=True)
         levels = Levels(
             (unique - shift) / width,
@@ -155,7 +159,7 @@ def psychometric(
             np.bincount(index, weights=total * weight),
             link, guess, lapse,
         )  # fmt: skip
-        return (*_maximum(levels), levels)
+        return (*_maximum(levels, start), levels)
 
     theta, information, converged, levels = fit(np.ones(len(at)))
     if abs(theta[1]) > 200:
@@ -179,7 +183,7 @@ def psychometric(
             status, note = TOO_FEW_SUBJECTS, f"{n_subjects} participant: no inference about others"
             covariance = np.full((2, 2), math.nan)
         else:
-            left_out = [fit((person != i).astype(float))[0] for i in np.unique(person)]
+            left_out = [fit((person != i).astype(float), theta)[0] for i in np.unique(person)]
             spread = np.array([_natural(theta_i, shift, width) for theta_i in left_out])
             covariance = np.cov(spread, rowvar=False) * (n_subjects - 1) ** 2 / n_subjects
             quantile = float(special.stdtrit(n_subjects - 1, 0.975))

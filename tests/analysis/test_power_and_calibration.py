@@ -48,7 +48,14 @@ CONSERVATIVE = ("exact interval", "wilcoxon exact", "family")
 
 @pytest.mark.parametrize("name", [probe[0] for probe in calibration.PROBES if probe[0] not in ("linear_mixed",)])
 def test_null_studies_are_rejected_at_the_level(name: str) -> None:
-    studies = {"cumulative_link": 20, "binomial_mixed": 6, "scales": 10, "ranks": 10}.get(name, 20)
+    studies = {
+        "cumulative_link": 20,
+        "binomial_mixed": 6,
+        "scales": 10,
+        "ranks": 10,
+        "effect_sizes": 40,
+        "psychometric": 6,
+    }.get(name, 20)
     table = calibration.calibrate(studies, seed=11, only=name)
     for what, part in table.groupby("what"):
         total = int(part["studies"].sum())
