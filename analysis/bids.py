@@ -46,7 +46,7 @@ def export_bids(data: Iterable[str | Path], folder: Path, show_progress: bool = 
     _json(folder / "dataset_description.json", _description(title, simulated))
     (folder / "README.md").write_text(_readme(title, simulated), encoding="utf-8")
     _participants(folder, sessions, labels)
-    for session in tqdm(sessions, desc="BIDS", disable=not show_progress, leave=False):
+    for session in tqdm(sessions, desc="BIDS", disable=None if show_progress else True, leave=False):
         own = table[(table["participant"] == session.participant) & (table["session"] == session.path.stem)]
         _write_session(folder, session, labels[session.participant], own)
     found = check_bids(folder)

@@ -97,7 +97,7 @@ def _write_streams(sessions: Sequence[Session], folder: Path, show_progress: boo
     flips_path, gaze_path = folder / "flips.csv", folder / "gaze.csv"
     flips_path.write_text(",".join(flip_columns()) + "\n", encoding="utf-8")
     gaze_path.write_text(",".join(gaze_columns()) + "\n", encoding="utf-8")
-    for session in tqdm(sessions, desc="streams", disable=not show_progress, leave=False):
+    for session in tqdm(sessions, desc="streams", disable=None if show_progress else True, leave=False):
         who = {"participant": session.participant, "run": session.header.get("run", 1)}
         tables = [_columns_of(record, {**who, "trial": trial}) for trial, record in read_flips(session).items()]
         if tables:

@@ -75,7 +75,7 @@ def planned_power(
     rules = parse_rules(study.analysis_plan().get("exclusions") or [])
     slots = [slot(study, participant) for participant in range(1, max(numbers) + 1)]
     rows: list[dict[str, Any]] = []
-    with tqdm(total=len(numbers) * simulations, desc="power", disable=not show_progress, leave=False) as bar:
+    with tqdm(total=len(numbers) * simulations, desc="power", disable=None if show_progress else True, leave=False) as bar:
         for n in numbers:
             hits: dict[str, list[float]] = {}
             for k in range(simulations):

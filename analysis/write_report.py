@@ -38,7 +38,7 @@ def write_report(
     lock_path = report.parent / LOCK_NAME
     if report.parent != Path() and not report.parent.is_dir():
         raise InputError(problem("--report", "folder", report.parent, "a folder that exists"))
-    with tqdm(total=5, desc="analyse", disable=not show_progress, leave=False) as bar:
+    with tqdm(total=5, desc="analyse", disable=None if show_progress else True, leave=False) as bar:
         frozen = read_registration(Path(registration)) if registration is not None else None
         results = analyse(data, blind=blind, progress=lambda step: _step(bar, step), registration=frozen)
         locked = json.dumps(results["exclusion_lock"], indent=1) + "\n"
