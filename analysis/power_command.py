@@ -75,7 +75,8 @@ def planned_power(
     rules = parse_rules(study.analysis_plan().get("exclusions") or [])
     slots = [slot(study, participant) for participant in range(1, max(numbers) + 1)]
     rows: list[dict[str, Any]] = []
-    with tqdm(total=len(numbers) * simulations, desc="power", disable=None if show_progress else True, leave=False) as bar:
+    hidden = None if show_progress else True
+    with tqdm(total=len(numbers) * simulations, desc="power", disable=hidden, leave=False) as bar:
         for n in numbers:
             hits: dict[str, list[float]] = {}
             for k in range(simulations):
