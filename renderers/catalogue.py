@@ -108,6 +108,18 @@ _ENTRIES: tuple[Entry, ...] = (
         baseline=True,
     ),
     Entry(
+        name="adaptive_frameless",
+        summary="samples at their own times where colour changes most, reconstructed by space-time filters",
+        params=p.AdaptiveFrameless,
+        module="renderers.adaptive_frameless.technique",
+        class_name="AdaptiveFrameless",
+        knobs={
+            "samples_per_s": (1e5, 4e5, 8e5, 1.6e6, 3.2e6, 6.4e6),
+            "filter_volume": (2.0, 4.0, 8.0),
+            "reprojected": (0, 5),
+        },
+    ),
+    Entry(
         name="traditional_frameless",
         summary="pixels in random order, each at its own time; the newest sample is shown",
         params=p.TraditionalFrameless,

@@ -1,0 +1,142 @@
+"""Adaptive frameless rendering (Dayal, Woolley, Watson and Luebke, EGSR 2005).
+
+Crosshairs of samples, each at its own time, go where a closed loop finds colour changing over space and time; each
+refresh is reconstructed from the newest samples, moved along with camera and movers. Choices where the paper is silent
+are parameters. Chunks of 25 crosshairs stand in for single ones: a chunk's tiles are drawn at its start.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from renderers.adaptive_frameless import buffers as c
+from renderers.adaptive_frameless.budget import SampleClock
+from renderers.adaptive_frameless.buffers import Settings
+from renderers.adaptive_frameless.rays import CLAMPED, IN, OUT, FramelessRays, counted, host_poses
+from renderers.adaptive_frameless.reconstructor import Filter, Reconstructor
+from renderers.adaptive_frameless.sampler import SAMPLES_PER_VISIT, Poses, Sampler
+from renderers.backend import dr
+from renderers.engine import Engine, EngineState
+from renderers.parameters import AdaptiveFrameless as AdaptiveFramelessParameters
+from renderers.pixels import inverse_order, pixel_centres, tile_order
+from renderers.stopwatch import Stopwatch
+from renderers.technique import Frame, Measure, View
+from stimuli.errors import InputError, problem
+
+
+def sampler_settings(size_px: tuple[int, int], p: AdaptiveFramelessParameters, exposure: float) -> Settings:
+    """The parameters as compiled code takes them; limits on the number of tiles follow from the picture's size."""
+    pixels = size_px[0] * size_px[1]
+    most = max(1, min(pixels, max(p.least_tiles, pixels // p.least_mean_tile_px)))
+    return Settings(
+        width=size_px[0], height=size_px[1], depth=p.depth, reprojected=p.reprojected, least_tile_px=p.least_tile_px,
+        least_tiles=min(p.least_tiles, most), most_tiles=most, moves=p.tiling_moves, kappa=p.kappa, lam=p.lambda_,
+        m=p.m, gain=p.i, decay_per_s=p.decay_per_s, exposure=exposure, followed=p.temporal_gradient == "followed",
+    )  # fmt: skip
+
+
+class AdaptiveFrameless:
+    """Sampler and reconstructor; `show` gives the debug pictures of the last refresh."""
+
+    name: ClassVar[str] = "adaptive_frameless"
+    Params: ClassVar[type[AdaptiveFramelessParameters]] = AdaptiveFramelessParameters
+
+    def __init__(
+        self, engine: Engine, size_px: tuple[int, int], params: AdaptiveFramelessParameters, seed: int,
+        measure: Measure,
+    ) -> None:  # fmt: skip
+        if min(size_px) < 1:
+            raise InputError(problem("size_px", "picture size", f"{size_px[0]}x{size_px[1]}", "at least 1x1"))
+        if params.kappa + params.lambda_ > 1:
+            raise InputError(
+                problem("adaptive_frameless", "kappa + lambda_", params.kappa + params.lambda_, "at most 1")
+            )
+        self.engine, self.size_px, self.params = engine, size_px, params
+        self._watch = Stopwatch(measure, dr.sync_thread)
+        self._rays = FramelessRays(engine, follow_movers=params.reproject_movers)
+        self.reset(seed)
+
+    def reset(self, seed: int) -> None:
+        """Start anew; the same views then give the same frames."""
+        self._rng = np.random.Generator(np.random.Philox(np.random.SeedSequence(seed)))
+        self._clock = SampleClock(self.params.samples_per_s / SAMPLES_PER_VISIT)
+        self.sampler: Sampler | None = None
+        self.reconstructor: Reconstructor | None = None
+
+    def _fill(self, view: View, state: EngineState, now_s: float) -> tuple[np.ndarray, int]:
+        """One sample a pixel at t1 into new buffers; the sums of the result columns, and how many samples."""
+        pixels = self.size_px[0] * self.size_px[1]
+        kept = max(1, round(self.params.samples_kept_per_px * pixels))
+        self.sampler = Sampler(sampler_settings(self.size_px, self.params, view.exposure), kept, self._rng)
+        self.reconstructor = Reconstructor(self.size_px, kept, self.params.least_splat_px)
+        order = tile_order(*self.size_px)
+        rows = np.zeros((pixels, IN), np.float32)
+        rows[:, 0], rows[:, 1] = pixel_centres(order, self.size_px[0])
+        found = self._rays.trace(state, rows, int(self._rng.integers(1 << 32)))
+        self.sampler.first_fill(now_s, found[inverse_order(order)])
+        return found.sum(axis=0, dtype=np.float64), pixels
+
+    def _sample(self, view: View, state: EngineState, poses: Poses) -> tuple[np.ndarray, int, int]:
+        """This interval's chunks, one after another; the sums of result columns, primary and visibility rays."""
+        assert self.sampler is not None
+        totals, visibility = np.zeros(OUT), 0
+        times_s = self._clock.take(view.t1 - view.t0)
+        for first in range(0, len(times_s), self.params.chunk_crosshairs):
+            now = times_s[first : first + self.params.chunk_crosshairs]
+            with self._watch.stage("control"):
+                rows, job_f, job_i = self.sampler.plan(poses, now)
+            with self._watch.stage("trace"):
+                found = self._rays.trace(state, rows, int(self._rng.integers(1 << 32)))
+            with self._watch.stage("control"):
+                visibility += self.sampler.take_in(poses, now, rows, found, job_f, job_i)
+                totals = totals + found.sum(axis=0, dtype=np.float64)
+                self.sampler.adjust(poses.t1_s + now[-1])
+        return totals, len(times_s) * SAMPLES_PER_VISIT, visibility
+
+    def render(self, view: View) -> Frame:
+        """The picture at t1: this interval's samples taken, then all kept ones reconstructed."""
+        now_s, visibility = float(view.t1), 0
+        with self._watch.frame():
+            with self._watch.stage("state"):
+                state = self.engine.state(view, self.size_px)
+                host = host_poses(state)
+                poses = Poses(host.camera, host.movers, host.window, host.lens, now_s)
+            if self.sampler is None or view.cut:
+                with self._watch.stage("trace"):
+                    totals, primary = self._fill(view, state, now_s)
+            else:
+                totals, primary, visibility = self._sample(view, state, poses)
+            with self._watch.stage("reconstruct"):
+                color = self._reconstruct(view, poses)
+        return Frame(
+            color=color,
+            rays=counted(totals, primary, visibility),
+            seconds=dict(self._watch.seconds),
+            time_s=float(view.index * (view.t1 - view.t0)),
+            clamped=int(totals[CLAMPED]),
+        )
+
+    def _reconstruct(self, view: View, poses: Poses) -> np.ndarray:
+        assert self.sampler is not None
+        assert self.reconstructor is not None
+        p, b = self.params, self.sampler.buffers
+        f = Filter(
+            samples_per_s=p.samples_per_s,
+            volume=p.filter_volume,
+            least_spatial=p.least_spatial_gradient,
+            least_temporal=p.least_temporal_gradient,
+            most_extent_s=max(float(view.t1 - view.t0), len(b.stream_t) / p.samples_per_s),
+            refresh_s=float(view.t1 - view.t0),
+            tail=p.filter_tail,
+            depth_tolerance=1.0 + p.depth_tolerance if p.depth_tolerance > 0 else np.inf,
+            reproject=p.reproject,
+        )
+        return self.reconstructor.reconstruct(
+            b, f, poses.camera[-1], np.ascontiguousarray(poses.movers[:, -1]), poses.window, poses.lens, poses.t1_s
+        )
+
+    def tiles(self) -> int:
+        """How many tiles there are now."""
+        return 0 if self.sampler is None else int(self.sampler.buffers.number[c.LEAVES])

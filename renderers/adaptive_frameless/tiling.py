@@ -1,0 +1,336 @@
+"""The tiling: a cut through a K-D tree over the picture, kept so that all tiles have about the same error.
+
+Dayal et al. 2005, sections 4, 4.1 and 6.1. Each tile keeps weighted sums over the crosshairs in its block of the deep
+buffer; a weight exp(-decay * age) is kept relative to a common epoch, so that ageing costs nothing. Adding and removing
+a crosshair changes one tile; splitting sums a tile's pixels anew; merging adds two tiles. So nothing drifts.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from renderers.adaptive_frameless import buffers as c
+from renderers.adaptive_frameless.buffers import Buffers, Settings
+
+EPOCH_S = 2.0
+"""How often the common epoch of the weights moves: weights then span a factor of a thousand at most."""
+ERRORS_EVERY = 16
+"""Chunks between two sums of all tiles' errors, which normalise them."""
+
+
+@njit(cache=True)
+def add_entry(b: Buffers, s: Settings, entry: int, sign: float) -> None:
+    """Count (sign 1) or uncount (-1) ``entry`` in the tile of its pixel and in the whole picture's sums."""
+    node = b.leaf_of[b.entry_i[entry, c.PIXEL]]
+    _add_to(b, s, node, entry, sign, True)
+    b.number[c.ENTRIES] += int(sign)
+    b.total[c.TIMES] += sign * b.entry_t[entry]
+    if sign < 0 and b.node_f[node, c.W] < 1e-6 * math.exp(s.decay_per_s * (b.entry_t[entry] - b.total[c.EPOCH])):
+        sum_tile(b, s, node)  # what is left weighs so little that the subtraction's rounding would show
+    b.error[b.node_i[node, c.PLACE]] = tile_error(b, s, node)
+
+
+@njit(cache=True)
+def _add_to(b: Buffers, s: Settings, node: int, entry: int, sign: float, everywhere: bool) -> None:
+    weight = sign * math.exp(s.decay_per_s * (b.entry_t[entry] - b.total[c.EPOCH]))
+    f, e = b.node_f[node], b.entry_f[entry]
+    luma, squares = 0.0, 0.0
+    for k in range(5):
+        luma += e[c.LUMA + k]
+        squares += float(e[c.LUMA + k]) * float(e[c.LUMA + k])
+    f[c.W] += 5.0 * weight
+    f[c.WL] += weight * luma
+    f[c.WLL] += weight * squares
+    f[c.G] += weight
+    f[c.GGX] += weight * e[c.GX]
+    f[c.GGY] += weight * e[c.GY]
+    f[c.COUNT] += sign
+    f[c.HIDDEN] += sign * b.entry_i[entry, c.OCCLUDED]
+    if e[c.GT] >= 0:
+        f[c.GTW] += weight
+        f[c.GGT] += weight * e[c.GT]
+    if everywhere:
+        b.total[c.G] += weight
+        b.total[c.GGX] += weight * e[c.GX]
+        b.total[c.GGY] += weight * e[c.GY]
+        if e[c.GT] >= 0:
+            b.total[c.GTW] += weight
+            b.total[c.GGT] += weight * e[c.GT]
+
+
+@njit(cache=True)
+def sum_tile(b: Buffers, s: Settings, node: int) -> None:
+    """Sum a tile's block of the deep buffer anew."""
+    b.node_f[node] = 0.0
+    n = b.node_i[node]
+    for y in range(n[c.Y0], n[c.Y1]):
+        for x in range(n[c.X0], n[c.X1]):
+            pixel = y * s.width + x
+            for k in range(b.fill[pixel]):
+                _add_to(b, s, node, b.queue[pixel, k], 1.0, False)
+
+
+@njit(cache=True)
+def move_epoch(b: Buffers, s: Settings, now_s: float) -> None:
+    """Bring the weights' epoch to ``now_s`` if it is far behind; the picture's sums are added up anew from the tiles."""
+    passed = now_s - b.total[c.EPOCH]
+    if passed < EPOCH_S:
+        return
+    factor = math.exp(-s.decay_per_s * passed)
+    b.total[c.W : c.GGT + 1] = 0.0
+    for k in range(b.number[c.LEAVES]):
+        f = b.node_f[b.leaves[k]]
+        f[c.W : c.GGT + 1] *= factor
+        for column in range(c.W, c.GGT + 1):
+            b.total[column] += f[column]
+    b.total[c.EPOCH] = now_s
+
+
+@njit(cache=True)
+def variation(b: Buffers, node: int) -> float:
+    """v_tile: the weighted variance of luma in the tile's block; 0 where it is empty."""
+    f = b.node_f[node]
+    if f[c.W] <= 0:
+        return 0.0
+    mean = f[c.WL] / f[c.W]
+    return max(0.0, f[c.WLL] / f[c.W] - mean * mean)
+
+
+@njit(cache=True)
+def tile_area(b: Buffers, node: int) -> int:
+    """Pixels of a tile."""
+    n = b.node_i[node]
+    return (n[c.X1] - n[c.X0]) * (n[c.Y1] - n[c.Y0])
+
+
+@njit(cache=True)
+def undersampling(b: Buffers, s: Settings, node: int) -> float:
+    """u_tile: by how much the tile's share of empty places exceeds ``m`` times that of the whole buffer."""
+    empty_tile = 1.0 - b.node_f[node, c.COUNT] / (tile_area(b, node) * s.depth)
+    empty_buffer = 1.0 - b.number[c.ENTRIES] / (s.width * s.height * s.depth)
+    return max(0.0, empty_tile - s.m * empty_buffer)
+
+
+@njit(cache=True)
+def tile_error(b: Buffers, s: Settings, node: int) -> float:
+    """E_tile from variation, undersampling and occlusions, each as a share of its sum over all tiles when last summed.
+
+    A term whose sum is 0 counts as 0. A millionth of the tile's share of the picture lets the larger of two alike split.
+    """
+    area = tile_area(b, node)
+    error = 1e-6 * area / (s.width * s.height)
+    if b.total[c.SUM_V] > 0:
+        error += (1.0 - s.kappa - s.lam) * variation(b, node) / b.total[c.SUM_V]
+    if b.total[c.SUM_U] > 0:
+        error += s.kappa * undersampling(b, s, node) / b.total[c.SUM_U]
+    if b.total[c.SUM_O] > 0:
+        error += s.lam * b.node_f[node, c.HIDDEN] / (area * s.depth) / b.total[c.SUM_O]
+    return error
+
+
+@njit(cache=True)
+def sum_errors(b: Buffers, s: Settings) -> None:
+    """Sum the three terms over all tiles, and refresh every tile's error."""
+    v, u, o = 0.0, 0.0, 0.0
+    for k in range(b.number[c.LEAVES]):
+        node = b.leaves[k]
+        v += variation(b, node)
+        u += undersampling(b, s, node)
+        o += b.node_f[node, c.HIDDEN] / (tile_area(b, node) * s.depth)
+    b.total[c.SUM_V], b.total[c.SUM_U], b.total[c.SUM_O] = v, u, o
+    for k in range(b.number[c.LEAVES]):
+        b.error[k] = tile_error(b, s, b.leaves[k])
+
+
+@njit(cache=True)
+def _own(b: Buffers, s: Settings, node: int) -> None:
+    n = b.node_i[node]
+    for y in range(n[c.Y0], n[c.Y1]):
+        b.leaf_of[y * s.width + n[c.X0] : y * s.width + n[c.X1]] = node
+
+
+@njit(cache=True)
+def _drop_pair(b: Buffers, node: int) -> None:
+    place = b.pair_place[node]
+    if place >= 0:
+        last = b.pairs[b.number[c.PAIRS] - 1]
+        b.pairs[place], b.pair_place[last] = last, place
+        b.pair_place[node] = -1
+        b.number[c.PAIRS] -= 1
+
+
+@njit(cache=True)
+def _add_pair(b: Buffers, node: int) -> None:
+    b.pairs[b.number[c.PAIRS]], b.pair_place[node] = node, b.number[c.PAIRS]
+    b.number[c.PAIRS] += 1
+
+
+@njit(cache=True)
+def can_split(b: Buffers, s: Settings, node: int) -> bool:
+    """Whether both halves of a tile would have at least ``least_tile_px`` pixels."""
+    n = b.node_i[node]
+    wide, high = n[c.X1] - n[c.X0], n[c.Y1] - n[c.Y0]
+    small = (max(wide, high) // 2) * min(wide, high)
+    return max(wide, high) >= 2 and small >= s.least_tile_px
+
+
+@njit(cache=True)
+def split(b: Buffers, s: Settings, node: int) -> None:
+    """Halve a tile across its longer side."""
+    n = b.node_i[node]
+    if n[c.PARENT] >= 0:
+        _drop_pair(b, n[c.PARENT])
+    wide = n[c.X1] - n[c.X0] >= n[c.Y1] - n[c.Y0]
+    middle = (n[c.X0] + n[c.X1]) // 2 if wide else (n[c.Y0] + n[c.Y1]) // 2
+    place = n[c.PLACE]
+    for side in range(2):
+        b.number[c.FREE_NODES] -= 1
+        child = b.free_nodes[b.number[c.FREE_NODES]]
+        k = b.node_i[child]
+        k[c.X0], k[c.Y0], k[c.X1], k[c.Y1] = n[c.X0], n[c.Y0], n[c.X1], n[c.Y1]
+        if wide:
+            k[c.X0 if side else c.X1] = middle
+        else:
+            k[c.Y0 if side else c.Y1] = middle
+        k[c.PARENT], k[c.LEFT], k[c.RIGHT] = node, -1, -1
+        n[c.LEFT + side] = child
+        if side:
+            place = b.number[c.LEAVES]
+            b.number[c.LEAVES] += 1
+        k[c.PLACE], b.leaves[place] = place, child
+        b.pair_place[child] = -1
+        _own(b, s, child)
+        sum_tile(b, s, child)
+        # the waiting sample goes to the half in which it lies
+        p = b.node_p[node]
+        inside = k[c.X0] <= p[c.PX] < k[c.X1] and k[c.Y0] <= p[c.PY] < k[c.Y1]
+        b.node_p[child] = p
+        if not inside:
+            b.node_p[child, c.HAS] = 0.0
+        b.error[place] = tile_error(b, s, child)
+    n[c.PLACE] = -1
+    _add_pair(b, node)
+
+
+@njit(cache=True)
+def merge(b: Buffers, s: Settings, node: int) -> None:
+    """Make the two leaves under ``node`` one tile."""
+    n = b.node_i[node]
+    left, right = n[c.LEFT], n[c.RIGHT]
+    b.node_f[node] = b.node_f[left] + b.node_f[right]
+    newer = (
+        left
+        if b.node_p[left, c.HAS] * b.node_p[left, c.PTIME] >= b.node_p[right, c.HAS] * b.node_p[right, c.PTIME]
+        or b.node_p[right, c.HAS] == 0
+        else right
+    )
+    b.node_p[node] = b.node_p[newer]
+    # the merged tile takes the left one's place, the last leaf the right one's
+    place, gap = b.node_i[left, c.PLACE], b.node_i[right, c.PLACE]
+    b.leaves[place], n[c.PLACE] = node, place
+    last = b.number[c.LEAVES] - 1
+    moved = b.leaves[last]
+    b.leaves[gap], b.error[gap] = moved, b.error[last]
+    b.node_i[moved, c.PLACE] = gap
+    b.number[c.LEAVES] = last
+    for child in (right, left):
+        b.free_nodes[b.number[c.FREE_NODES]] = child
+        b.number[c.FREE_NODES] += 1
+    n[c.LEFT], n[c.RIGHT] = -1, -1
+    _own(b, s, node)
+    _drop_pair(b, node)
+    parent = n[c.PARENT]
+    if parent >= 0:
+        other = b.node_i[parent, c.RIGHT] if b.node_i[parent, c.LEFT] == node else b.node_i[parent, c.LEFT]
+        if b.node_i[other, c.LEFT] < 0:
+            _add_pair(b, parent)
+    b.error[n[c.PLACE]] = tile_error(b, s, node)
+
+
+@njit(cache=True)
+def wanted_tiles(b: Buffers, s: Settings, now_s: float) -> int:
+    """The number of tiles at which dC/ds * S = i * dC/dt * T (section 4.1): S the tiles' width, T the mean age."""
+    total = b.total
+    if total[c.G] <= 0 or b.number[c.ENTRIES] == 0:
+        return s.least_tiles
+    over_space = (total[c.GGX] + total[c.GGY]) / (2.0 * total[c.G])
+    over_time = total[c.GGT] / total[c.GTW] if total[c.GTW] > 0 else 0.0
+    age_s = now_s - total[c.TIMES] / b.number[c.ENTRIES]
+    wide = s.gain * over_time * max(age_s, 0.0)
+    if wide <= 0 or over_space <= 0:
+        return s.most_tiles if wide <= 0 else s.least_tiles
+    tiles = s.width * s.height * (over_space / wide) ** 2
+    return int(min(max(tiles, s.least_tiles), s.most_tiles))
+
+
+@njit(cache=True)
+def _worst(b: Buffers, s: Settings) -> int:
+    best, found = -1.0, -1
+    for k in range(b.number[c.LEAVES]):
+        if b.error[k] > best and can_split(b, s, b.leaves[k]):
+            best, found = b.error[k], b.leaves[k]
+    return found
+
+
+@njit(cache=True)
+def _calmest(b: Buffers) -> int:
+    best, found = math.inf, -1
+    for k in range(b.number[c.PAIRS]):
+        n = b.node_i[b.pairs[k]]
+        both = b.error[b.node_i[n[c.LEFT], c.PLACE]] + b.error[b.node_i[n[c.RIGHT], c.PLACE]]
+        if both < best:
+            best, found = both, b.pairs[k]
+    return found
+
+
+@njit(cache=True)
+def adjust(b: Buffers, s: Settings, now_s: float) -> None:
+    """After a chunk: move towards the wanted number of tiles, and split the worst and merge the calmest pair."""
+    move_epoch(b, s, now_s)
+    if b.number[c.CHUNKS] % ERRORS_EVERY == 0:
+        sum_errors(b, s)
+    b.number[c.CHUNKS] += 1
+    b.number[c.TARGET] = wanted_tiles(b, s, now_s)
+    for _ in range(s.moves):
+        few, many = b.number[c.LEAVES] < b.number[c.TARGET], b.number[c.LEAVES] > b.number[c.TARGET]
+        worst = -1 if many else _worst(b, s)
+        calmest = -1 if few else _calmest(b)
+        if few and worst >= 0:
+            split(b, s, worst)
+        elif many and calmest >= 0:
+            merge(b, s, calmest)
+        elif worst >= 0 and calmest >= 0:
+            n = b.node_i[calmest]
+            both = b.error[b.node_i[n[c.LEFT], c.PLACE]] + b.error[b.node_i[n[c.RIGHT], c.PLACE]]
+            if b.error[b.node_i[worst, c.PLACE]] <= both or b.node_i[worst, c.PARENT] == calmest:
+                return
+            merge(b, s, calmest)
+            split(b, s, worst)
+        else:
+            return
+
+
+def even_tiling(b: Buffers, s: Settings) -> None:
+    """Halve the largest tiles until there are ``least_tiles`` (as the first fill finds them)."""
+    _even(b, s)
+
+
+@njit(cache=True)
+def _even(b: Buffers, s: Settings) -> None:
+    while b.number[c.LEAVES] < s.least_tiles:
+        largest, found = 0, -1
+        for k in range(b.number[c.LEAVES]):
+            node = b.leaves[k]
+            if tile_area(b, node) > largest and can_split(b, s, node):
+                largest, found = tile_area(b, node), node
+        if found < 0:
+            return
+        split(b, s, found)
+
+
+def tile_rectangles(b: Buffers) -> np.ndarray:
+    """(tiles, 4) int32: x0, y0, x1, y1 of each tile."""
+    return b.node_i[b.leaves[: b.number[c.LEAVES]], :4].copy()
