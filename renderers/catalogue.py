@@ -80,6 +80,15 @@ _ENTRIES: tuple[Entry, ...] = (
         knobs={"order": ("adaptive", "hourglass", "bowtie", "random"), "box_sigmas": (0.75, 1.0, 1.25)},
     ),
     Entry(
+        name="foveated",
+        summary="few pixels far from the gaze a refresh, the others reprojected (Weier et al. 2016)",
+        params=p.Foveated,
+        module="renderers.foveated.technique",
+        class_name="Foveated",
+        knobs={"configuration": ("small", "medium", "large"), "p_min": (0.01, 0.05, 0.1), "k_min": (0.05, 0.1, 0.2)},
+        gaze_contingent=True,
+    ),
+    Entry(
         name="checkerboard",
         summary="half of the pixels a refresh, the others reprojected",
         params=p.Checkerboard,
@@ -127,6 +136,15 @@ _ENTRIES: tuple[Entry, ...] = (
         class_name="TraditionalFrameless",
         knobs={"samples_per_s": (1e5, 4e5, 8e5, 1.6e6, 3.2e6, 6.4e6)},
         baseline=True,
+    ),
+    Entry(
+        name="polar",
+        summary="rays in a polar buffer around the gaze, as dense as the eye's acuity asks",
+        params=p.Polar,
+        module="renderers.polar.technique",
+        class_name="Polar",
+        knobs={"mapping": ("acuity", "equal_density"), "width": (32, 64, 128, 256, 512), "quality": (1, 64, 256)},
+        gaze_contingent=True,
     ),
 )
 CATALOGUE: Mapping[str, Entry] = {entry.name: entry for entry in _ENTRIES}

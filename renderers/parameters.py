@@ -187,7 +187,7 @@ class Probes(Parameters):
     every probe once in ``every_frames``; ``hysteresis`` the old value's weight; ``settle_passes`` updates of the whole
     grid at the start and after a cut. ``bias``: how far off the surface the grid is asked, share of 3/4 of a spacing.
 
-    ``occlusion_rays`` of ``occlusion_radius`` (world units; None: 0.5 m, as our scenes) darken corners; 0: none.
+    ``occlusion_rays`` short rays, ``occlusion_radius`` long (world units), darken corners; 0: none.
     """
 
     grid: tuple[int, int, int] = (16, 8, 16)
@@ -206,8 +206,8 @@ class Polar(Parameters):
     """Peuhkurinen and Mikkonen 2021. ``width`` x ``height`` texels (None: as the display's pixels per degree ask);
     ``mapping`` 'acuity' is the paper's, 'equal_density' follows acuity squared (``mar_slope``, ``mar_foveal_deg``).
 
-    ``dynamic_width``: W * clamp(1 - ``width_slope_s_per_deg`` * head speed, ``least_width``, 1). ``quality``: samples of
-    an area light; 'by_pose' 256 below ``still_deg_s``, 64 below ``fast_deg_s``, else 1. ``probes``: light probes for
+    ``dynamic_width``: W * clamp(1 - ``width_slope_s_per_deg`` * head speed, ``least_width``, 1). ``quality``: samples
+    of an area light; 'by_pose' 256 below ``still_deg_s``, 64 below ``fast_deg_s``, else 1. ``probes``: light probes for
     this technique even where the clip's lighting has none. ``mixed_reality``: over the room's capture, with ``alpha``.
     """
 
@@ -223,5 +223,5 @@ class Polar(Parameters):
     still_deg_s: float = Field(2.0, ge=0)
     fast_deg_s: float = Field(20.0, ge=0)
     probes: bool = False
-    probe_settings: Probes = Probes()
+    probe_settings: Probes = Field(default_factory=Probes)  # type: ignore[arg-type]
     mixed_reality: bool = False

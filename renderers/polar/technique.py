@@ -1,0 +1,239 @@
+"""The Human Eye Resolution Ray Tracer (Peuhkurinen and Mikkonen, GRAPP 2021): rays in a polar buffer around the gaze.
+
+Each eye has one buffer; every panel of that eye (the picture, or a headset's inset and surround) is resolved from it.
+Only texels that some pixel reads are traced. Area lights are sampled on an even grid, without noise and without any
+filter over time. Departure from the paper: the resolved pictures are returned, not warped by a headset's compositor.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import OrderedDict
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from renderers.backend import dr, mi
+from renderers.camera import Ray
+from renderers.engine import Engine, EngineState
+from renderers.frozen import frozen, opaque_float
+from renderers.parameters import Polar as PolarParameters
+from renderers.polar.panels import MAIN, Eye, Panel, eyes_of
+from renderers.polar.polar_map import RadialMap, buffer_size, farthest_deg, width_in_use
+from renderers.polar.quality import light_samples, pose_delta
+from renderers.polar.resolve import (
+    PanelState,
+    PolarState,
+    mark,
+    panel_state,
+    polar_state,
+    resolve,
+    texel_direction,
+)
+from renderers.poses import pose_at
+from renderers.stopwatch import Stopwatch
+from renderers.technique import Frame, LazyCounts, Measure, View
+from stimuli.errors import InputError, problem
+
+_PLANS = 8  # gazes and widths whose texels in use are remembered
+RING_DEG = 15.0
+
+
+@dataclass
+class _Plan:
+    """What follows from gaze, panels and width alone: one eye's buffer and the texels that its pixels read."""
+
+    polar: PolarState
+    panels: list[PanelState]
+    size: tuple[int, int]
+    texels: Any
+    eye: Any
+
+
+class Polar:
+    """One buffer an eye; `show` gives debug pictures (rings every 15 degrees, HERR's Fig. 6)."""
+
+    name: ClassVar[str] = "polar"
+    Params: ClassVar[type[PolarParameters]] = PolarParameters
+
+    def __init__(
+        self, engine: Engine, size_px: tuple[int, int], params: PolarParameters, seed: int, measure: Measure
+    ) -> None:
+        if min(size_px) < 1:
+            raise InputError(problem("size_px", "picture size", f"{size_px[0]}x{size_px[1]}", "at least 1x1"))
+        self.engine, self.size_px, self.params = engine, size_px, params
+        self._watch = Stopwatch(measure, dr.sync_thread)
+        self._trace_kernel, self._mark_kernel = frozen(self._trace), frozen(mark)
+        self._resolve_kernel, self._tile_kernel = frozen(resolve), frozen(self._tiles)
+        self._plans: OrderedDict[tuple, _Plan] = OrderedDict()
+        self.reset(seed)
+
+    def reset(self, seed: int) -> None:
+        """Start anew; the same views then give the same frames."""
+        self._seed = seed
+
+    # Plans ----------------------------------------------------------------------------------------------------------
+
+    def _size_in_use(self, view: View, eye: Eye) -> tuple[RadialMap, tuple[int, int]]:
+        """The radial map to the farthest corner, and the buffer's (W in use, H)."""
+        p = self.params
+        gaze = np.asarray(eye.panels[0].plane.gaze)
+        most = max(farthest_deg(panel.plane, panel.size_px, gaze) for panel in eye.panels)
+        radial = RadialMap(p.mapping, max(most, 1e-3), p.mar_slope, p.mar_foveal_deg)
+        width, height = buffer_size(max(panel.ppd for panel in eye.panels), radial.most_deg, p.width, p.height)
+        if p.dynamic_width:
+            turning = pose_delta(view, self.engine.space.radius).turning_deg_s
+            width = width_in_use(width, turning, p.width_slope_s_per_deg, p.least_width)
+        return radial, (width, height)
+
+    def _plan(self, view: View, eye: Eye) -> _Plan:
+        radial, size = self._size_in_use(view, eye)
+        key = (eye, radial, size)
+        if key in self._plans:
+            self._plans.move_to_end(key)
+            return self._plans[key]
+        polar = polar_state(radial, size, eye.panels[0].plane.gaze)
+        panels = [panel_state(panel) for panel in eye.panels]
+        marks = dr.zeros(mi.UInt32, size[0] * size[1])
+        dr.make_opaque(marks)
+        for panel, state in zip(eye.panels, panels, strict=True):
+            marks = self._mark_kernel(_pixels(panel), polar, state, _lanes(panel), marks)
+        texels = dr.compress(marks == 1)
+        plan = _Plan(polar, panels, size, texels, opaque_float([eye.offset_m * self.engine.space.scale, *_rays(eye)]))
+        self._plans[key] = plan
+        if len(self._plans) > _PLANS:
+            self._plans.popitem(last=False)
+        return plan
+
+    # Kernels --------------------------------------------------------------------------------------------------------
+
+    def _trace(
+        self, samples: int, state: EngineState, polar: PolarState, panel: PanelState, eye: Any, texel: Any, buffer: Any
+    ) -> tuple[Any, ...]:  # fmt: skip
+        """Trace and shade the texels in use."""
+        ray = _ray(state, polar, panel, eye, texel)
+        sample = self.engine.sample(state, ray, light_samples=samples)
+        c = sample.color
+        dr.scatter(buffer, mi.Vector4f(c.x, c.y, c.z, 1), texel)
+        return buffer, sample.rays, sample.clamped
+
+    def _tiles(self, polar: PolarState, texel: Any, buffer: Any) -> Any:
+        """Colours of 15 degree tiles of eccentricity and angle, and the eccentricity (degrees) as fourth channel."""
+        row = texel // polar.width
+        column = texel - row * polar.width
+        theta = dr.gather(mi.Float, polar.centres, column + 1) * (180 / math.pi)
+        ring = mi.UInt32(theta * (1 / RING_DEG))
+        sector = mi.UInt32((mi.Float(row) + 0.5) / mi.Float(polar.height) * (360 / RING_DEG))
+        light = dr.select((ring + sector) % 2 == 0, 0.9, 0.45)
+        color = mi.Color3f(*(0.35 + 0.65 * mi.Float((ring + k) % 3 == 0) for k in range(3))) * light
+        dr.scatter(buffer, mi.Vector4f(color.x, color.y, color.z, theta), texel)
+        return buffer
+
+    # Frames ---------------------------------------------------------------------------------------------------------
+
+    def _resolved(self, plan: _Plan, eye: Eye, buffer: Any) -> dict[str, Any]:
+        """Flat H * W * 4 of every panel."""
+        found = {}
+        for panel, state in zip(eye.panels, plan.panels, strict=True):
+            width, height = panel.size_px
+            picture = dr.zeros(mi.Float, width * height * 4)
+            dr.make_opaque(picture)
+            picture = self._resolve_kernel(width * height, plan.polar, state, _lanes(panel), buffer, picture)
+            found[panel.name] = picture
+        return found
+
+    def render(self, view: View) -> Frame:
+        """The pictures at t1."""
+        counts: list[Any] = []
+        clamped, primary = 0, 0
+        pictures: dict[str, Any] = {}
+        eyes = eyes_of(view, self.size_px)
+        samples = light_samples(self.params, pose_delta(view, self.engine.space.radius))
+        with self._watch.frame():
+            with self._watch.stage("state"):
+                state = self.engine.state(view, self.size_px)
+            for eye in eyes:
+                with self._watch.stage("plan"):
+                    plan = self._plan(view, eye)
+                with self._watch.stage("trace"):
+                    lanes = len(plan.texels)
+                    buffer = _buffer(plan)
+                    buffer, rays, wrong = self._trace_kernel(
+                        lanes, samples, state, plan.polar, plan.panels[0], plan.eye, plan.texels, buffer
+                    )
+                    counts.append(rays)
+                    primary += lanes
+                    clamped += int(dr.sum(wrong)[0])
+                with self._watch.stage("resolve"):
+                    pictures |= self._resolved(plan, eye, buffer)
+        sizes = {panel.name: panel.size_px for eye in eyes for panel in eye.panels}
+        arrays = {name: p.numpy().reshape(sizes[name][1], sizes[name][0], 4) for name, p in pictures.items()}
+        first = next(iter(arrays.values()))
+        return Frame(
+            color=first[..., :3],
+            rays=_counts(primary, counts),
+            seconds=dict(self._watch.seconds),
+            time_s=float(view.index * (view.t1 - view.t0)),
+            clamped=clamped,
+            viewports={name: a[..., :3] for name, a in arrays.items() if name != MAIN},
+        )
+
+    def show(self, view: View) -> dict[str, np.ndarray]:
+        """Debug pictures of ``view`` for each panel: NAME (H, W, 3): 15 degree tiles of the buffer as they come out
+        (HERR, Fig. 6), NAME.eccentricity (H, W): degrees, resolved from the buffer."""
+        found = {}
+        for eye in eyes_of(view, self.size_px):
+            plan = self._plan(view, eye)
+            buffer = self._tile_kernel(len(plan.texels), plan.polar, plan.texels, _buffer(plan))
+            for panel in eye.panels:
+                width, height = panel.size_px
+                picture = self._resolved(plan, eye, buffer)[panel.name].numpy().reshape(height, width, 4)
+                found[panel.name], found[f"{panel.name}.eccentricity"] = picture[..., :3], picture[..., 3]
+        return found
+
+
+def _pixels(panel: Panel) -> int:
+    return panel.size_px[0] * panel.size_px[1]
+
+
+def _lanes(panel: Panel) -> Any:
+    lanes = dr.arange(mi.UInt32, _pixels(panel))
+    dr.make_opaque(lanes)
+    return lanes
+
+
+def _buffer(plan: _Plan) -> Any:
+    buffer = dr.zeros(mi.Float, plan.size[0] * plan.size[1] * 4)
+    dr.make_opaque(buffer)
+    return buffer
+
+
+def _rays(eye: Eye) -> tuple[float, ...]:
+    """The smallest angle of a pixel of the eye's panels, radians."""
+    return (min(math.radians(1) / panel.ppd for panel in eye.panels),)
+
+
+def _ray(state: EngineState, polar: PolarState, panel: PanelState, eye: Any, texel: Any) -> Ray:
+    """The camera ray of a texel at t1; its cone is as wide as the texel, or a pixel where texels are smaller."""
+    d, solid_angle = texel_direction(polar, texel)
+    sx, sy, ox, oy = (dr.gather(mi.Float, panel.lens, mi.UInt32(k)) for k in range(4))
+    seen = mi.Vector3f(sx * d.x - ox * d.z, sy * d.y - oy * d.z, d.z)
+    length = dr.norm(seen)
+    pose = pose_at(state.camera.poses, mi.UInt32(0), 0.0)
+    offset = dr.gather(mi.Float, eye, mi.UInt32(0))
+    pixel = dr.gather(mi.Float, eye, mi.UInt32(1))
+    origin = mi.Point3f(*(dr.fma(row.x, offset, row.w) for row in pose.rows))
+    cosine = dr.maximum(-seen.z / length, 0.05)
+    spread = dr.sqrt(solid_angle * sx * sy * dr.rcp(length * length * length))
+    spread = dr.maximum(spread, pixel * dr.sqrt(sx * sy) * cosine * cosine)
+    return Ray(origin, dr.normalize(pose.vector(seen)), mi.Float(0), spread)
+
+
+def _counts(primary: int, counts: list[dict[str, Any]]) -> LazyCounts:
+    """Rays of all eyes by kind, summed when they are read."""
+
+    def total(kind: str) -> Any:
+        return lambda: sum(int(np.asarray(rays[kind].numpy(), np.int64).sum()) for rays in counts)
+
+    return LazyCounts({"primary": primary, **{kind: total(kind) for kind in (counts[0] if counts else {})}})
