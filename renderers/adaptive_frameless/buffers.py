@@ -1,4 +1,4 @@
-"""What the sampler remembers, as flat arrays that compiled code works on: entries, queues, tiles, and the sample stream.
+"""What the sampler remembers, as flat arrays for compiled code: entries, queues, tiles, and the sample stream.
 
 Names in capitals are columns. Pictures are numbered in scanline order, pixel = y * W + x. Times are scene seconds.
 """

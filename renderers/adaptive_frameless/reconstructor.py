@@ -119,7 +119,7 @@ def nearest_depths(width: int, height: int, placed: np.ndarray, nearest: np.ndar
         out = placed[i]
         if out[2] < 0:
             continue
-        x, y = int(math.floor(out[0])), int(math.floor(out[1]))
+        x, y = math.floor(out[0]), math.floor(out[1])
         if 0 <= x < width and 0 <= y < height:
             pixel = y * width + x
             if out[4] < nearest[pixel]:
@@ -150,8 +150,8 @@ def splat(
                 continue
             v = b.stream_f[(oldest + i) % room]
             # pixels whose centres lie under the splat
-            x0, x1 = max(int(math.ceil(px - half - 0.5)), 0), min(int(math.floor(px + half - 0.5)), width - 1)
-            y0, y1 = max(int(math.ceil(py - half - 0.5)), top), min(int(math.floor(py + half - 0.5)), bottom - 1)
+            x0, x1 = max(math.ceil(px - half - 0.5), 0), min(math.floor(px + half - 0.5), width - 1)
+            y0, y1 = max(math.ceil(py - half - 0.5), top), min(math.floor(py + half - 0.5), bottom - 1)
             for y in range(y0, y1 + 1):
                 for x in range(x0, x1 + 1):
                     pixel = y * width + x

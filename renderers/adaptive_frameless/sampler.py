@@ -266,7 +266,7 @@ def _reproject(
 
 @njit(cache=True)
 def _first_fill(b: Buffers, s: Settings, time_s: float, found: np.ndarray) -> None:
-    """One crosshair a pixel from a grid of samples (W * H, in scanline order); at the edge an arm is the pixel itself."""
+    """One crosshair a pixel from a grid of samples (W * H, scanline order); at an edge an arm is the pixel itself."""
     for y in range(s.height):
         for x in range(s.width):
             pixel = y * s.width + x
@@ -299,7 +299,7 @@ class Sampler:
         self.buffers = make_buffers(settings, kept)
 
     def first_fill(self, time_s: float, found: np.ndarray) -> None:
-        """Fill the deep buffer without adaptation; ``found`` (W * H, rays.OUT) in scanline order, sampled at ``time_s``."""
+        """Fill the deep buffer evenly; ``found`` (W * H, rays.OUT) in scanline order, sampled at ``time_s``."""
         self.buffers.total[c.EPOCH] = time_s
         even_tiling(self.buffers, self.settings)
         _first_fill(self.buffers, self.settings, time_s, found)

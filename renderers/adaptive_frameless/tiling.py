@@ -75,7 +75,7 @@ def sum_tile(b: Buffers, s: Settings, node: int) -> None:
 
 @njit(cache=True)
 def move_epoch(b: Buffers, s: Settings, now_s: float) -> None:
-    """Bring the weights' epoch to ``now_s`` if it is far behind; the picture's sums are added up anew from the tiles."""
+    """Bring the weights' epoch to ``now_s`` if it is far behind; the picture's sums are added up anew."""
     passed = now_s - b.total[c.EPOCH]
     if passed < EPOCH_S:
         return
@@ -116,9 +116,9 @@ def undersampling(b: Buffers, s: Settings, node: int) -> float:
 
 @njit(cache=True)
 def tile_error(b: Buffers, s: Settings, node: int) -> float:
-    """E_tile from variation, undersampling and occlusions, each as a share of its sum over all tiles when last summed.
+    """E_tile from variation, undersampling and occlusions, each over its sum over all tiles when last summed.
 
-    A term whose sum is 0 counts as 0. A millionth of the tile's share of the picture lets the larger of two alike split.
+    A term whose sum is 0 counts as 0. A millionth of the tile's share of the picture lets the larger of equals split.
     """
     area = tile_area(b, node)
     error = 1e-6 * area / (s.width * s.height)

@@ -34,6 +34,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--trials", type=int, default=4, metavar="N", help="points of each technique's knobs (default 4)"
     )
     parser.add_argument("--spp", type=int, default=64, metavar="N", help="samples of the gold standard (default 64)")
+    parser.add_argument(
+        "--table1",
+        action="store_true",
+        help="Table 1 of Dayal et al. 2005 at 60 Hz (or: bart_kitchen.glb with --budget alone)",
+    )
     parser.add_argument("--lighting", default="direct", choices=("direct", "ambient_occlusion", "probes"))
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument(
@@ -76,6 +81,8 @@ def run(args: argparse.Namespace) -> int:
     from renderers import tradeoff, tradeoff_report
 
     budgets = [number(part, "--budget") for part in args.budget.split(",") if part]
+    if is_table1(args):
+        return _table1(args, budgets or [1e5, 4e5, 8e5])
     names = tradeoff.techniques_for(args.technique)
     conditions = tradeoff.Conditions(
         size_px=size(args.size), rate_hz=rational(args.rate, "--rate"), frames=args.frames, warm_up_frames=args.warm_up,
@@ -104,6 +111,55 @@ def run(args: argparse.Namespace) -> int:
             print(f"\n{name}, {args.size} at {args.rate} Hz, errors x 255 against {args.spp} spp (*: on the front)")
             print(tradeoff_report.table(rows))
         print(f"\nwritten: {args.out / 'tradeoff.csv'}, .json, .png")
+    return 0
+
+
+def is_table1(args: argparse.Namespace) -> bool:
+    """Whether Table 1 of Dayal et al. 2005 is asked for: by name, or by its scene and budgets."""
+    by_scene = [Path(name).stem for name in args.scene or []] == ["bart_kitchen"]
+    return args.table1 or (by_scene and bool(args.budget) and not args.technique and args.path is None)
+
+
+def _table1(args: argparse.Namespace, budgets: list[float]) -> int:
+    """Measure the lines of Table 1 that DIR lacks; write and print them beside the paper's numbers."""
+    from tqdm import tqdm
+
+    from renderers import table1
+    from renderers.engine import Engine
+    from renderers.tradeoff import RowFile
+    from stimuli import load_scene
+    from stimuli.camera_path import camera_path
+    from stimuli.clip_request import ENGINE_VERSION
+
+    if args.frames < 1 or args.spp < 1:
+        raise InputError(problem("tradeoff", "frames and spp", f"{args.frames} and {args.spp}", "at least 1"))
+    if len(args.scene or []) != 1:
+        raise InputError(problem("--scene", "scenes of Table 1", len(args.scene or []), "one, with a toy car in it"))
+    scene = load_scene(args.scene[0], animation=args.animation)
+    c = table1.Conditions(size_px=size(args.size), compared=args.frames, reference_spp=args.spp, seed=args.seed)
+    file, engine, rows = RowFile(args.out / "table1.jsonl"), None, []
+    for animation, path in table1.ANIMATIONS.items():
+        lines = table1.methods(budgets)
+        keys = [table1.key(scene.sha256, animation, line, c, ENGINE_VERSION) for line in lines]
+        missing = [k for k, key in enumerate(keys) if args.fresh or key not in file.rows]
+        if missing:
+            engine = engine or Engine(scene)
+            camera = camera_path(scene, path)
+            with tqdm(total=len(c.refreshes) * (1 + len(missing)), desc=animation, disable=None) as bar:
+                gold = table1.gold_standard(engine, camera, c, bar.update)
+                for k in missing:
+                    bar.set_postfix_str(f"{lines[k].label} {lines[k].samples_per_s}")
+                    file.add(keys[k], table1.measure(engine, camera, lines[k], gold, c, bar.update))
+        rows += table1.with_ratios(animation, [file.rows[key] for key in keys])
+    (args.out / "table1.json").write_text(json.dumps(rows, indent=1))
+    table1.plot(rows, c, args.out / "table1.png")
+    print(json.dumps(rows, indent=1) if args.json else table1.table(rows))
+    if not args.json:
+        print(
+            f"\nRMS x 255 of {len(c.refreshes)} refreshes against {c.reference_spp} samples a pixel without delay, "
+            f"{args.size} at 60 Hz; ratio: to {table1.FULL} (double buffered); *: least error at its samples a second"
+        )
+        print(f"written: {args.out / 'table1.json'}, .jsonl, .png")
     return 0
 
 
