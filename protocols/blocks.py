@@ -85,11 +85,16 @@ class ExplicitTrial(Model):
     repetitions: Count = 1
 
 
-class Staircase(Model):
-    """An n-down 1-up staircase over ``levels`` of a condition's parameter, easiest first."""
+class Adaptive(Model):
+    """Trials that depend on the answers: one procedure for each combination of the block's factors, interleaved.
+
+    staircase (``down`` right answers make it harder, one wrong makes it easier) and quest_plus (Watson 2017): ``test``
+    with ``parameter`` at one of ``values`` (easiest to tell first) stands against ``standard``; right is to choose
+    the standard. active_pairs: the conditions of ``compare``, always the pair that promises most information.
+    """
 
     kind: Literal["staircase", "quest_plus", "active_pairs"]
-    parameter: Name | None = Field(default=None, description="parameter of `test` that is varied")
+    parameter: Name | None = None
     values: list[float] = Field(default_factory=list, max_length=200)
     test: Name | None = None
     standard: Name | None = None
@@ -97,6 +102,15 @@ class Staircase(Model):
     reversals: Annotated[int, Field(ge=2, le=40)] = 8
     trials: Annotated[int, Field(ge=1, le=1000)] = 60
     lapse: Annotated[float, Field(ge=0, le=0.2)] = 0.02
+
+    @model_validator(mode="after")
+    def _complete(self) -> Adaptive:
+        if self.kind != "active_pairs":
+            if self.parameter is None or self.test is None or self.standard is None:
+                raise wrong("not all of parameter, test, standard", f"all three, since the kind is {self.kind}")
+            if len(set(self.values)) < 2 or len(set(self.values)) != len(self.values):
+                raise wrong(f"{len(self.values)} values", "at least two different values, easiest first")
+        return self
 
 
 class Block(Model):
@@ -121,7 +135,7 @@ class Block(Model):
     trials: list[ExplicitTrial] | None = Field(
         default=None, description="trials written out instead of crossed factors"
     )
-    adaptive: Staircase | None = None
+    adaptive: Adaptive | None = None
     break_every: Count | None = None
     break_text: Text = "Take a short break. Press a key to go on."
     only: dict[Name, str] = Field(
@@ -143,6 +157,14 @@ class Block(Model):
             raise wrong("no reference", "reference: CONDITION, which stands in the middle (or kind: forced_choice)")
         if self.kind == "likert" and (self.compare is not None or self.reference is not None):
             raise wrong("compare or reference", "one sequence a trial, where the kind is likert")
+        if self.adaptive is not None:
+            if self.kind not in PAIR_KINDS or self.trials is not None or self.practice or self.catch:
+                raise wrong(
+                    "adaptive with ratings, trials, practice or catch",
+                    f"a block of pairs ({' | '.join(PAIR_KINDS)}) with nothing else that makes trials",
+                )
+            if (self.adaptive.kind == "active_pairs") != (self.compare is not None):
+                raise wrong(f"adaptive {self.adaptive.kind}", "compare exactly where the kind is active_pairs")
         if self.kind in PAIR_KINDS and self.adaptive is None:
             if self.trials is None and self.compare is None:
                 raise wrong("no compare", f"compare: {{of: [...]}}, since the kind is {self.kind}")

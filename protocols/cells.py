@@ -9,7 +9,7 @@ from typing import Any
 
 from protocols.blocks import PAIR_KINDS, Block, ExplicitTrial
 from protocols.conditions import Condition
-from protocols.study import Study
+from protocols.study import Study, varied_name
 from protocols.trial import Panel
 from renderers.catalogue import CATALOGUE
 
@@ -43,7 +43,7 @@ def block_cells(study: Study, block: Block, group: Mapping[str, str], slot: int 
         return tuple(
             _cell(study, block, dict(zip(factors, pick, strict=True)), group, ()) for pick in product(*factors.values())
         )
-    sets = condition_sets(study, block)
+    sets = condition_sets(study, block) if block.adaptive is None else adaptive_sets(study, block)
     spread = block.compare.spread_over if block.compare is not None and slot is not None else []
     fixed = {name: levels for name, levels in factors.items() if name not in spread}
     moving = [dict(zip(spread, pick, strict=True)) for pick in product(*(factors[name] for name in spread))]
@@ -73,6 +73,14 @@ def condition_sets(study: Study, block: Block) -> tuple[tuple[str, ...], ...]:
         return tuple(tuple(members) for members in compare.sets)
     sets = combinations(of, compare.alternatives)
     return tuple(members for members in sets if compare.against is None or compare.against in members)
+
+
+def adaptive_sets(study: Study, block: Block) -> tuple[tuple[str, ...], ...]:
+    """The pairs an adaptive block may come to show."""
+    varied = block.adaptive
+    if varied is None or varied.kind == "active_pairs":
+        return condition_sets(study, block)
+    return tuple((varied_name(str(varied.test), value), str(varied.standard)) for value in varied.values)
 
 
 def explicit_cell(study: Study, block: Block, trial: ExplicitTrial, group: Mapping[str, str]) -> Cell:

@@ -33,7 +33,7 @@ def plan(study: Study, participant: int, seed: int | None = None) -> tuple[Trial
     seed = study.seed if seed is None else seed
     group = group_of(study, participant, seed)
     trials: list[Trial] = []
-    for block in _ordered_blocks(study, group, participant, seed):
+    for block in ordered_blocks(study, group, participant, seed):
         trials += _block_trials(study, block, group, participant, seed)
     return tuple(replace(trial, index=index) for index, trial in enumerate(trials))
 
@@ -53,7 +53,7 @@ def group_of(study: Study, participant: int, seed: int | None = None) -> dict[st
     return combinations[int(order[place])]
 
 
-def _ordered_blocks(study: Study, group: Mapping[str, str], participant: int, seed: int) -> list[Block]:
+def ordered_blocks(study: Study, group: Mapping[str, str], participant: int, seed: int) -> list[Block]:
     """The blocks this person sees; blocks of words keep their places when the others change theirs."""
     blocks = [b for b in study.blocks if all(group.get(factor) == level for factor, level in b.only.items())]
     places = [i for i, block in enumerate(blocks) if block.kind not in WORD_KINDS]
@@ -75,7 +75,7 @@ def _block_trials(study: Study, block: Block, group: Mapping[str, str], particip
         return [Trial(0, block.name, block.kind, text=block.text or "")]
     if block.adaptive is not None:
         return []
-    maker = _Maker(study, block, group, participant, seed)
+    maker = TrialMaker(study, block, group, participant, seed)
     cells = block_cells(study, block, group, participant - 1)
     repetitions = 1 if block.trials is not None else block.repetitions
     instances = [(cell, repetition) for repetition in range(repetitions) for cell in cells]
@@ -166,7 +166,7 @@ def column(trial: Trial, name: str) -> str:
     return own[name]
 
 
-class _Maker:
+class TrialMaker:
     """Makes the trials of one block for one participant (a value's worth of context, no state)."""
 
     def __init__(self, study: Study, block: Block, group: Mapping[str, str], participant: int, seed: int) -> None:

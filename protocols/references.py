@@ -7,14 +7,14 @@ import json
 from collections.abc import Collection, Iterator, Mapping
 from fractions import Fraction
 from itertools import product
-from math import comb
+from math import comb, prod
 from typing import Any
 
 from pydantic import ValidationError
 
 from protocols.blocks import PAIR_KINDS, WORD_KINDS, Block, ExplicitTrial
 from protocols.cells import block_cells
-from protocols.study import Study
+from protocols.study import Study, varied_name
 from renderers.catalogue import CATALOGUE
 
 MAX_TRIALS = 3000
@@ -144,6 +144,7 @@ def _block(study: Study, names: _Declared, index: int, block: Block) -> Iterator
         yield from _factor(names, name, levels, (*loc, "factors", name), f"{what}.factors.{name}")
     yield from names.settings(block.set.model_dump(exclude_none=True), (*loc, "set"), f"{what}.set")
     yield from _compare(study, names, block, loc, what)
+    yield from _adaptive(study, names, block, loc, what)
     columns = {*block.factors, *OWN_COLUMNS, "cell"}
     for key in ("max_in_a_row", "min_distance"):
         for word in getattr(block.order, key):
@@ -228,10 +229,12 @@ def _compare(study: Study, names: _Declared, block: Block, loc: Loc, what: str) 
 
 def size_of_block(study: Study, block: Block) -> int:
     """How many trials a block has for one participant, by arithmetic, before anything is formed."""
-    if block.kind in WORD_KINDS or block.adaptive is not None:
+    if block.kind in WORD_KINDS:
         return 1
     practice = sum(t.repetitions for t in block.practice) if isinstance(block.practice, list) else block.practice
     extra = practice + (block.catch.trials if block.catch else 0)
+    if block.adaptive is not None:
+        return block.adaptive.trials * prod(len(levels) for levels in block.factors.values())
     if block.trials is not None:
         return sum(trial.repetitions for trial in block.trials) + extra
     compare, cells = block.compare, 1
@@ -277,6 +280,20 @@ def gaze_problems(study: Study) -> Iterator[Problem]:
                 got = f"{name} ({condition.technique}) with a free gaze from the store"
                 wanted = "live: true, or fixation: fixed | moving (what the eye will do is not known beforehand)"
                 yield ("blocks", index), f"blocks[{index}]", got, wanted
+
+
+def _adaptive(study: Study, names: _Declared, block: Block, loc: Loc, what: str) -> Iterator[Problem]:
+    varied = block.adaptive
+    if varied is None or varied.kind == "active_pairs":
+        return
+    at: Loc = (*loc, "adaptive")
+    for key, word in (("test", varied.test), ("standard", varied.standard)):
+        yield from names.condition(str(word), (*at, key), f"{what}.adaptive.{key}")
+    for value in varied.values:
+        made = study.all_conditions().get(varied_name(str(varied.test), value))
+        if made is not None and made.technique in CATALOGUE:
+            place = f"{what}.adaptive ({varied.parameter} = {value:g})"
+            yield from parameter_problems(made.technique, made.params, (*at, "values"), place)
 
 
 def _explicit(names: _Declared, block: Block, trial: ExplicitTrial, loc: Loc, what: str) -> Iterator[Problem]:

@@ -35,6 +35,11 @@ class Replication(Model):
     deviations: list[Deviation] = Field(default_factory=list)
 
 
+def varied_name(test: str, value: float) -> str:
+    """The name of an adaptive block's test condition at ``value``."""
+    return f"{test}@{value:g}"
+
+
 class Study(Model):
     """A whole protocol. See `protocols/library/*.yaml` for examples; `load_study` reads one."""
 
@@ -73,6 +78,15 @@ class Study(Model):
     def all_conditions(self) -> Mapping[str, Condition]:
         """name -> condition: those written, and one for each of ``techniques`` that is not."""
         named = {name: Condition(technique=name) for name in self.technique_names()}
+        for block in self.blocks:
+            # A varied condition is a condition of its own at each value: NAME@VALUE.
+            varied = block.adaptive
+            if varied is not None and varied.test in self.conditions and varied.parameter is not None:
+                test = self.conditions[varied.test]
+                for value in varied.values:
+                    number = int(value) if value.is_integer() else value
+                    made = test.model_copy(update={"params": {**test.params, varied.parameter: number}})
+                    named[varied_name(varied.test, value)] = made
         return {**self.conditions, **{n: c for n, c in named.items() if n not in self.conditions}}
 
     def expand(self, names: list[str]) -> tuple[str, ...]:
