@@ -1,0 +1,1 @@
+"""Foveated ray tracing with reprojection (Weier et al. 2016)."""

@@ -1,0 +1,141 @@
+"""From the last picture to this one (Weier et al. 2016, 3.2 and 3.3): footprint filter, holes, marks for resampling.
+
+Pictures are flat `mi.Float`, H * W * 4 (see `renderers.image`). ``place`` (H * W * 2) says where each pixel was in the
+last picture, in pixels (nan: nowhere), ``depth`` (H * W) is window depth; both come from the rasterised depth mesh.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from renderers.backend import dr, mi
+from renderers.foveated.support import SupportGrid
+from renderers.gl.context import NEAR
+from renderers.image import bilinear, fetch, rgb
+from renderers.parameters import Foveated
+from renderers.rng import combined
+
+JUMP_PX = 4.0
+"""Neighbours that were further apart than this lie on different surfaces."""
+AT_REST_PX = 1 / 256
+"""A pixel that comes from so near a pixel's centre, at the same scale, takes that pixel alone."""
+NORMAL_PAIRS = 1 << 14
+
+
+def normal_table(rng: np.random.Generator) -> np.ndarray:
+    """Pairs of normal deviates, flat float32: cheaper to fetch than to compute four times a pixel."""
+    return rng.standard_normal(NORMAL_PAIRS * 2).astype(np.float32)
+
+
+def world_depth(window_depth: Any, to_world: Any) -> Any:
+    """Distance along the camera's axis in world units from window depth (1: nothing there)."""
+    return NEAR * to_world / dr.maximum(1 - window_depth, 1e-8)
+
+
+def was_seen(place: Any, width: int, height: int) -> Any:
+    """Whether a place (Vector2f) lies in the last picture; nan does not."""
+    return (place.x >= 0) & (place.x < width) & (place.y >= 0) & (place.y < height)
+
+
+def pixel_at(place: Any, width: int, height: int) -> Any:
+    """The number of the pixel in which a place (Vector2f, inside or not) lies."""
+    x = mi.UInt32(dr.clip(place.x, 0, width - 1))
+    return mi.UInt32(dr.clip(place.y, 0, height - 1)) * width + x
+
+
+def _step(place: Any, neighbour: Any, sign: Any, unit: Any) -> Any:
+    """How far ``place`` moves to a neighbour's; ``unit`` where the two do not lie on one surface."""
+    step = (neighbour - place) * sign
+    return dr.select(dr.squared_norm(step) < JUMP_PX**2, step, unit)  # false for nan
+
+
+def resolve(
+    p: Foveated, grid: SupportGrid, names: tuple[str, ...], place: Any, old: dict[str, Any], support: dict[str, Any],
+    normals: Any, seed: Any, new: dict[str, Any],
+) -> dict[str, Any]:  # fmt: skip
+    """Every pixel from the last picture, or from the support image where that has nothing.
+
+    ``names``: the pictures to carry over (``old`` and ``support`` have them), filtered by ``n_fp`` normal taps in the
+    pixel's footprint; ``info`` is fetched nearest, and its age grows by 1 (rho 0: filled from the support image).
+    """
+    width, height = grid.width, grid.height
+    index = dr.arange(mi.UInt32, width * height)
+    y = index // width
+    x = index - y * width
+    here = dr.gather(mi.Vector2f, place, index)
+    seen = was_seen(here, width, height)
+    # The footprint: how the place changes towards the right (left at the edge) and down.
+    right, down = x + 1 < width, y + 1 < height
+    beside = dr.gather(mi.Vector2f, place, dr.select(right, index + 1, index - min(1, width - 1)))
+    below = dr.gather(mi.Vector2f, place, dr.select(down, index + width, index - (width if height > 1 else 0)))
+    across = _step(here, beside, dr.select(right, mi.Float(1), mi.Float(-1)), mi.Vector2f(1, 0))
+    along = _step(here, below, dr.select(down, mi.Float(1), mi.Float(-1)), mi.Vector2f(0, 1))
+    off = dr.abs(here - dr.floor(here) - 0.5)
+    unlike = dr.maximum(dr.max(dr.abs(across - mi.Vector2f(1, 0))), dr.max(dr.abs(along - mi.Vector2f(0, 1))))
+    moved = dr.maximum(dr.max(off), unlike) > AT_REST_PX
+    sigma = dr.select(moved, mi.Float(0.5 * p.footprint_sigma), mi.Float(0))
+    totals = {name: mi.Color3f(0) for name in names}
+    start = combined(seed, index)
+    for tap in range(p.n_fp):
+        pair = dr.gather(mi.Vector2f, normals, (start + tap * 2654435761 % (1 << 32)) >> (32 - 14))
+        at = pixel_at(here + across * (sigma * pair.x) + along * (sigma * pair.y), width, height)
+        for name in names:
+            totals[name] += rgb(fetch(old[name], at, seen))
+    empty = ~seen
+    sx = (mi.Float(x) + 0.5) * (grid.columns / width)
+    sy = (mi.Float(y) + 0.5) * (grid.rows / height)
+    values = {}
+    for name in names:
+        value = totals[name] * (1 / p.n_fp)
+        filled = bilinear(support[name], sx, sy, grid.columns, grid.rows, empty)
+        value = values[name] = dr.select(empty, filled, value)
+        dr.scatter(new[name], mi.Vector4f(value.x, value.y, value.z, 0), index)
+    if "light" in names:
+        value = values["surface"] + values["albedo"] * values["light"]
+        dr.scatter(new["shown"], mi.Vector4f(value.x, value.y, value.z, 0), index)
+    info = fetch(old["info"], pixel_at(here, width, height), seen)
+    dr.scatter(new["info"], mi.Vector4f(info.x, info.y, info.z + 1, info.w), index)
+    return new
+
+
+def display_luma(color: Any, exposure: Any) -> Any:
+    """Rec.709 luma of a linear colour as the display shows it: sRGB-encoded, in [0, 1]."""
+    c = dr.clip(color * exposure, 0, 1)
+    c = dr.select(c <= 0.0031308, 12.92 * c, 1.055 * dr.power(dr.maximum(c, 0.0031308), 1 / 2.4) - 0.055)
+    return 0.2126 * c.x + 0.7152 * c.y + 0.0722 * c.z
+
+
+def look(
+    grid: SupportGrid, place: Any, depth: Any, shown: Any, edge: Any, to_world: Any, exposure: Any, texel_pixel: Any
+) -> Any:
+    """The reprojected picture at support resolution: (world depth, luma, edge, 1 where there is something), packed."""
+    here = dr.gather(mi.Vector2f, place, texel_pixel)
+    seen = was_seen(here, grid.width, grid.height)
+    z = world_depth(dr.gather(mi.Float, depth, texel_pixel), to_world)
+    luma = display_luma(rgb(fetch(shown, pixel_at(here, grid.width, grid.height), seen)), exposure)
+    column = mi.UInt32(dr.clip(here.x * (grid.columns / grid.width), 0, grid.columns - 1))
+    row = mi.UInt32(dr.clip(here.y * (grid.rows / grid.height), 0, grid.rows - 1))
+    vertex = (row + 1) * (grid.columns + 2) + column + 1
+    packed = dr.empty(mi.Float, grid.texels * 4)
+    value = mi.Vector4f(z, luma, dr.gather(mi.Float, edge, vertex, seen), dr.select(seen, mi.Float(1), mi.Float(0)))
+    dr.scatter(packed, value, dr.arange(mi.UInt32, grid.texels))
+    return packed
+
+
+def mark(p: Foveated, grid: SupportGrid, looks: Any) -> Any:
+    """1 (UInt32) for each texel whose block is traced anew: depth or luma unlike a direct neighbour's, or grazing."""
+    index = dr.arange(mi.UInt32, grid.texels)
+    row = index // grid.columns
+    column = index - row * grid.columns
+    own = fetch(looks, index)
+    marked = own.z < p.eps_edge
+    for inside, other in (
+        (column > 0, index - 1), (column + 1 < grid.columns, index + 1),
+        (row > 0, index - grid.columns), (row + 1 < grid.rows, index + grid.columns),
+    ):  # fmt: skip
+        near = fetch(looks, other, inside)
+        differs = (dr.abs(own.x - near.x) > p.eps_depth * own.x) | (dr.abs(own.y - near.y) > p.eps_lum)
+        marked |= inside & (near.w > 0) & differs
+    return dr.select(marked & (own.w > 0), mi.UInt32(1), mi.UInt32(0))

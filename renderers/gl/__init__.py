@@ -1,0 +1,1 @@
+"""What wants a rasteriser: moderngl without a window, and the one place where its data crosses to Dr.Jit."""

@@ -1,0 +1,84 @@
+"""An OpenGL context without a window, and the depth mesh that foveated reprojection rasterises.
+
+The only place where data crosses between Dr.Jit and moderngl: vertices go in, two flat arrays come out. Both cross as
+host memory: moderngl maps no CUDA memory, so with `cuda` this is a round trip (about 12 bytes a pixel and frame).
+"""
+
+from __future__ import annotations
+
+from importlib.resources import files
+from typing import Any
+
+import moderngl
+import numpy as np
+
+from renderers.backend import dr, mi
+from renderers.frozen import aligned
+
+NEAR = 1e-3
+"""The near plane, tracer units."""
+FLOATS_A_VERTEX = 8
+_RESTART = 0xFFFFFFFF
+
+
+def standalone_context() -> moderngl.Context:
+    """A context of its own by EGL, which wants no display. moderngl's bare Exception where there is no driver."""
+    return moderngl.create_standalone_context(require=330, backend="egl")
+
+
+def grid_strips(columns: int, rows: int) -> np.ndarray:
+    """Indices (uint32) of a grid of ``columns`` x ``rows`` vertices as triangle strips, a row each, restart between."""
+    upper = np.arange(columns, dtype=np.uint32) + columns * np.arange(rows - 1, dtype=np.uint32)[:, None]
+    pairs = np.stack([upper, upper + np.uint32(columns)], axis=2).reshape(rows - 1, 2 * columns)
+    return np.c_[pairs, np.full(rows - 1, _RESTART, np.uint32)].ravel()
+
+
+class MeshRasteriser:
+    """Draws a grid mesh of ``columns`` x ``rows`` vertices into ``size_px``; `close` frees its context."""
+
+    def __init__(self, size_px: tuple[int, int], columns: int, rows: int) -> None:
+        self.size_px = size_px
+        self.gl = standalone_context()
+        shaders = files("renderers.gl")
+        with self.gl:
+            self._program = self.gl.program(
+                vertex_shader=shaders.joinpath("mesh.vert.glsl").read_text(),
+                fragment_shader=shaders.joinpath("mesh.frag.glsl").read_text(),
+            )
+            self._vertices = self.gl.buffer(reserve=columns * rows * FLOATS_A_VERTEX * 4, dynamic=True)
+            self._mesh = self.gl.vertex_array(
+                self._program,
+                [(self._vertices, "4f 4f", "at", "was")],
+                self.gl.buffer(grid_strips(columns, rows).tobytes()),
+            )
+            self._place = self.gl.texture(size_px, 2, dtype="f4")
+            self._depth = self.gl.depth_texture(size_px)
+            self._target = self.gl.framebuffer([self._place], self._depth)
+            self.gl.enable_only(moderngl.DEPTH_TEST)
+            self.gl.enable_direct(0x8F9D)  # GL_PRIMITIVE_RESTART; index below is moderngl's default of -1
+        pixels = size_px[0] * size_px[1]
+        self._place_px = aligned(np.zeros(pixels * 2), np.float32)
+        self._depth_values = aligned(np.zeros(pixels), np.float32)
+
+    def draw(self, vertices: Any) -> tuple[Any, Any]:
+        """Rasterise ``vertices`` (Float, 8 a vertex: clip position, then x, y of the last picture times depth, depth).
+
+        Returns (place, depth), Float: H * W * 2 pixels of the last picture (nan: no mesh), H * W window depth in
+        [0, 1]. Both are valid until the next call.
+        """
+        host = np.ascontiguousarray(vertices.numpy(), np.float32)
+        with self.gl:
+            self._vertices.write(host)
+            self._target.use()
+            self._target.clear(float("nan"), float("nan"), 0.0, 0.0, depth=1.0)
+            self._mesh.render(moderngl.TRIANGLE_STRIP)
+            dr.sync_thread()  # kernels that read the last result are done before it is written over
+            self._place.read_into(self._place_px)
+            self._depth.read_into(self._depth_values)
+        return mi.Float(self._place_px), mi.Float(self._depth_values)
+
+    def close(self) -> None:
+        """Free the context and all that is in it."""
+        for item in (self._mesh, self._vertices, self._target, self._place, self._depth, self._program):
+            item.release()
+        self.gl.release()
