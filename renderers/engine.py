@@ -7,23 +7,29 @@ the view's t1 (0.0, a Python number, means t1 itself and makes a leaner kernel);
 
 from __future__ import annotations
 
+import copy
 import math
 from dataclasses import dataclass
 from typing import Any, Literal
 
+import numpy as np
+
 from renderers.backend import dr, mi
 from renderers.camera import CameraState, Ray, camera_state, forward_axis, primary_ray, project
-from renderers.frozen import opaque_float
+from renderers.frozen import opaque_float, opaque_uint
 from renderers.lights import LightArrays, light_arrays, sorted_lights
 from renderers.materials import MaterialArrays, look_at_hit, material_arrays, opacity
 from renderers.motion import background_motion, reflected_motion, surface_motion
+from renderers.parameters import Probes
+from renderers.polar.probes import ProbeGrid
 from renderers.poses import Poses, knot_times, pose_at
-from renderers.requirements import requirements_of
+from renderers.requirements import Requirements, requirements_of
 from renderers.rng import combined
 from renderers.shading import ambient_occlusion, direct_light, mirror_weight, start_point
-from renderers.surface import Surface, surface_at
+from renderers.surface import Surface, met_from_behind, surface_at
 from renderers.technique import View
 from renderers.tracer import RawHit, SceneArrays, Tracer
+from renderers.trap import STAGES
 from stimuli.errors import InputError, problem
 from stimuli.scene import Scene
 
@@ -49,6 +55,8 @@ class EngineState:
     background: Any
     ao_radius: Any
     to_world: Any
+    indirect: Any = None
+    trapped: Any = None
 
 
 @dataclass
@@ -85,6 +93,21 @@ class Sample:
 
 
 @dataclass
+class FirstHit:
+    """A PyTree: light leaving the first thing on a ray, without what mirrors and see-through surfaces add.
+
+    ``color``: Color3f; ``hit``: Bool; ``t``: tracer units; ``back``: the face was met from behind; ``shadow``: rays.
+    """
+
+    color: Any
+    hit: Any
+    t: Any
+    surface: Surface
+    back: Any
+    shadow: Any
+
+
+@dataclass
 class _Shaded:
     """One hit: own light (``surface`` + ``albedo`` * ``light``), and how rays go on from it."""
 
@@ -101,8 +124,10 @@ class Engine:
     """A scene ready to be traced. Build it once for a clip or a session.
 
     ``lighting``: 'direct' (Whitted), 'ambient_occlusion' (base colour times open sky, no lights), 'probes' (direct plus
-    ``indirect``, set by whoever owns the probes). ``sphere_lights``: 'point' or 'sampled'. ``ao_radius``: world units;
-    None: 0.05 of the bounding radius. Raises InputError for unknown settings and meshes that are not finite.
+    ``indirect``, a `renderers.polar.probes.ProbeGrid` that `state` brings up to date for each new view). ``sphere_lights``: 'point' or 'sampled'. ``ao_radius``: world units;
+    None: 0.05 of the bounding radius. ``requirements``: what kernels contain (default: what the scene requires; more
+    changes no picture). ``debug``: count what is not finite at each stage, see `trapped`. Raises InputError for unknown
+    settings and meshes that are not finite.
     """
 
     def __init__(
@@ -114,6 +139,8 @@ class Engine:
         sphere_lights: Literal["point", "sampled"] = "point",
         ao_samples: int = 16,
         ao_radius: float | None = None,
+        requirements: Requirements | None = None,
+        debug: bool = False,
     ) -> None:
         if lighting not in ("direct", "ambient_occlusion", "probes"):
             raise InputError(
@@ -127,16 +154,36 @@ class Engine:
             raise InputError(problem("ao_radius", "ambient occlusion radius", ao_radius, "more than 0"))
         self.scene = scene
         self.lighting = lighting
-        self.tracer = Tracer(scene, device)
+        self.requirements = requirements_of(scene, sphere_lights == "sampled") if requirements is None else requirements
+        self.tracer = Tracer(scene, device, self.requirements)
         self.space = self.tracer.space
-        self.requirements = requirements_of(scene, sphere_lights == "sampled")
         self.ao_samples = ao_samples
         self.ao_radius = _FILE_AO_RADIUS * self.space.radius if ao_radius is None else ao_radius
-        self.indirect: Any = None
         self._lights, self._light_groups = sorted_lights(scene, sphere_lights == "sampled")
         self._lights_move = any(light.track is not None for light in scene.lights)
         self._materials = material_arrays(self.tracer.materials)
         self._constants: tuple[Any, ...] | None = None
+        self._trapped = opaque_uint(np.zeros(len(STAGES))) if debug else None
+
+    def trapped(self) -> dict[str, int]:
+        """Active lanes whose values were not finite, by the stage that first showed it; counts from 0 again.
+
+        Empty where nothing was trapped. Raises RuntimeError without ``debug``.
+        """
+        if self._trapped is None:
+            raise RuntimeError("nothing is trapped: the engine was built without debug=True")
+        counts = self._trapped.numpy().tolist()
+        self._trapped = opaque_uint(np.zeros(len(STAGES)))
+        return {stage: count for stage, count in zip(STAGES, counts, strict=True) if count}
+
+    def _trap(self, state: EngineState, stage: str, active: Any, *values: Any) -> None:
+        """Count the active lanes in which some value is not finite (nothing is recorded without ``debug``)."""
+        if state.trapped is None:
+            return
+        good = mi.Bool(True)
+        for value in values:
+            good &= dr.isfinite(value) if dr.depth_v(value) == 1 else dr.all(dr.isfinite(value))
+        dr.scatter_add(state.trapped, mi.UInt32(1), mi.UInt32(STAGES.index(stage)), mi.Bool(active) & ~good)
 
     @property
     def follows_rays(self) -> bool:
@@ -160,7 +207,7 @@ class Engine:
                 opaque_float(1 / self.space.scale),
             )
         poses = self.tracer.poses(times_s)
-        return EngineState(
+        state = EngineState(
             arrays=self.tracer.arrays,
             materials=self._materials,
             poses=poses,
@@ -170,6 +217,7 @@ class Engine:
             background=self._constants[1],
             ao_radius=self._constants[2],
             to_world=self._constants[3],
+            trapped=self._trapped,
         )
 
     # Called inside kernels ------------------------------------------------------------------------------------------
@@ -234,6 +282,7 @@ class Engine:
                 problem("light_samples", "samples of an area light", light_samples, "a square: 1, 4, 9, ... 64, 256")
             )
         active = mi.Bool(active)
+        self._trap(state, "camera ray", active, ray.o, ray.d, ray.spread)
         # Primary hit.
         hit, surface = self._visible_hit(state, ray, time_s, active, coherent=True)
         seen = active & hit.valid
@@ -284,7 +333,25 @@ class Engine:
         )
         if want_motion:
             result.motion = self.motion(state, result)
+            self._trap(state, "motion", active, result.motion)
         return result
+
+    def first_hit(
+        self, state: EngineState, ray: Ray, time_s: Any = 0.0, active: Any = True, rng: Any = None
+    ) -> FirstHit:
+        """The nearest surface and the light that leaves it, for rays that need no mirrors (probes)."""
+        active = mi.Bool(active)
+        hit, surface = self._visible_hit(state, ray, time_s, active, coherent=False)
+        seen = active & hit.valid
+        shaded = self._shade(state, surface, hit, ray, time_s, seen, rng, 1, coherent=False, short_rays=False)
+        return FirstHit(
+            color=shaded.surface + shaded.albedo * shaded.light,
+            hit=seen,
+            t=hit.t,
+            surface=surface,
+            back=seen & met_from_behind(self.tracer, state.arrays, state.poses, hit, ray.d, time_s, seen),
+            shadow=shaded.shadow,
+        )
 
     def _visible_hit(
         self, state: EngineState, ray: Ray, time_s: Any, active: Any, coherent: bool
@@ -293,7 +360,11 @@ class Engine:
         hit = self.tracer.nearest(state.arrays, state.poses, ray.o, ray.d, time_s, active, coherent)
         if self.requirements.cutouts:
             hit = self._past_cutouts(state, ray, hit, time_s, active)
-        return hit, surface_at(self.tracer, state.arrays, state.poses, hit, ray.d, time_s, active & hit.valid)
+        seen = active & hit.valid
+        surface = surface_at(self.tracer, state.arrays, state.poses, hit, ray.d, time_s, seen)
+        self._trap(state, "hit", seen, hit.t, hit.u, hit.v)
+        self._trap(state, "surface", seen, surface.point, surface.normal, surface.geometric, surface.uv_density)
+        return hit, surface
 
     def _past_cutouts(self, state: EngineState, ray: Ray, hit: RawHit, time_s: Any, active: Any) -> RawHit:
         """Go on from hits that alphaMode MASK cuts out."""
@@ -327,6 +398,7 @@ class Engine:
         rng: Any,
         light_samples: int,
         coherent: bool,
+        short_rays: bool = True,
     ) -> _Shaded:
         """Light leaving one hit towards the ray's origin, and the weights of the rays that go on from it."""
         needs = self.requirements
@@ -357,7 +429,8 @@ class Engine:
             if needs.ambient:
                 own = own + state.ambient * dr.select(look.unlit, 0, look.ambient)
             if self.lighting == "probes" and self.indirect is not None:
-                own = own + look.diffuse * self.indirect(state, surface.point, surface.normal, active)
+                bounced, ao_rays = self.indirect.light(state, surface, view, time_s, lit, rng, short_rays)
+                own = own + look.diffuse * bounced
             if needs.mirrors:
                 mirror = mirror_weight(look, dr.maximum(dr.dot(surface.normal, view), 0))
         behind = mi.Color3f(0)
@@ -371,6 +444,7 @@ class Engine:
             albedo = albedo * (kept * diffuse_left)
             tint = dr.select(look.phong, mi.Color3f(1), look.base)
             behind = mi.Color3f(1 - kept) + tint * (kept * through)
+        self._trap(state, "shading", active, own, albedo, light, mirror, behind)
         zero = mi.Color3f(0)
         return _Shaded(
             surface=dr.select(active, own, zero),
@@ -484,6 +558,7 @@ class Engine:
             s["ambient_occlusion"] = s["ambient_occlusion"] + dr.select(seen, shaded.ambient_occlusion, no)
             s["steps"] = s["steps"] + 1
             s = onward(s, hit, surface, shaded, seen)
+            self._trap(state, "mirrors and glass", on, s["color"], s["o"], s["d"], s["weight"])
             s["on"] = s["on"] & (s["steps"] < _MOST_STEPS)
             return (s,)
 

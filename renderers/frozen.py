@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from renderers.backend import dr, mi
+from renderers.trap import active_trap, look_into
 
 MAX_RECORDINGS = 32
 """More recordings than this of one kernel mean that a changing Python value slipped in (each costs 0.1 to 1 s).
@@ -75,6 +76,9 @@ class Frozen:
             raise RuntimeError(
                 f"{self.name}: recorded {self.recordings} times; a Python value changes from call to call"
             )
+        trap = active_trap()
+        if trap is not None:
+            look_into(trap, self.name, result)
         return result
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import Any
 
 from renderers.backend import dr, mi
+from renderers.engine import LARGEST
 from renderers.image import (
     catmull_rom,
     clip_towards_centre,
@@ -62,7 +63,8 @@ def resolve(
         clipped = clip_towards_centre(before, low, high)
         w_new, w_old = alpha / (1 + new.x), (1 - alpha) / (1 + clipped.x)
         out = (new * w_new + clipped * w_old) / (w_new + w_old)
-    shown = dr.maximum(from_ycocg(dr.select(inside, out, new)), 0)
+    # rounding of the YCoCg transform may leave the range that shading keeps to
+    shown = dr.clip(from_ycocg(dr.select(inside, out, new)), 0, LARGEST)
     picture = dr.zeros(mi.Float, width * height * 4)
     store(picture, shown, mi.Float(0), index)
     return picture

@@ -16,7 +16,7 @@ from renderers.frozen import frozen, opaque_float, opaque_uint
 from renderers.geometry import Body, pack
 from renderers.poses import Poses, exists_at, pose_at, pose_matrices, poses_of
 from renderers.proxy import ASK_ALL, STEP, box_faces, box_vertices, must_ask, swept_boxes
-from renderers.requirements import requirements_of
+from renderers.requirements import Requirements, requirements_of
 from renderers.space import tracer_space
 from renderers.surface import surface_at
 from stimuli.errors import InputError, problem
@@ -93,13 +93,13 @@ def _mesh_scene(positions: np.ndarray, faces: np.ndarray) -> Any:
 class Tracer:
     """A scene that rays can be sent into. Raises InputError for meshes with positions that are not finite.
 
-    ``device``: 'auto' (CUDA where there is a GPU), 'cuda', 'llvm'.
+    ``device``: 'auto' (CUDA where there is a GPU), 'cuda', 'llvm'. ``requirements``: default those of the scene.
     """
 
-    def __init__(self, scene: Scene, device: str = "auto") -> None:
+    def __init__(self, scene: Scene, device: str = "auto", requirements: Requirements | None = None) -> None:
         activate(device)
         self.scene = scene
-        self.needs = requirements_of(scene)
+        self.needs = requirements_of(scene) if requirements is None else requirements
         self.space = tracer_space(scene)
         self.geometry = pack(scene, self.space, self.needs)
         self.materials = self.geometry.materials
@@ -171,6 +171,9 @@ class Tracer:
         """The nearest hit of rays ``o + t d`` (tracer space; ``d`` of any length) at ``time_s`` relative to t1."""
         active = mi.Bool(active)
         best = RawHit(mi.Float(dr.inf), mi.UInt32(0), mi.Float(0), mi.Float(0), mi.UInt32(0))
+        if arrays.opaque is None and arrays.hidden is None and not self.bodies:
+            # An empty scene's misses have the lanes of their rays: recordings keep the width of a bare constant.
+            best.t = dr.select(d.x == d.x, best.t, 0.0)
         limit = mi.Float(tmax)
         for hidden, scene in ((False, arrays.opaque), (True, arrays.hidden)):
             if scene is None:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from renderers.backend import dr, mi
+from renderers.engine import LARGEST
 from renderers.frozen import opaque_float, opaque_uint
 from renderers.parameters import PolarMapping
 from renderers.polar.panels import Panel
@@ -144,7 +145,8 @@ def resolve(polar: PolarState, panel: PanelState, pixel: Any, buffer: Any, pictu
     total = mi.Vector4f(0)
     for index, weight in zip(found.index, found.weight, strict=True):
         total = dr.fma(dr.gather(mi.Vector4f, buffer, index), weight, total)
-    dr.scatter(picture, total, pixel)
+    # weights may add up to a rounding above 1
+    dr.scatter(picture, dr.minimum(total, LARGEST), pixel)
     return picture
 
 
