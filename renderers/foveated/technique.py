@@ -53,7 +53,7 @@ class Foveated:
         self.engine, self.size_px, self.params = engine, size_px, params
         self._full: Vanilla | None = None
         if math.isinf(params.region[0]):
-            same = VanillaParameters(light_samples=params.light_samples)
+            same = VanillaParameters(light_samples=params.light_samples, delay_frames=0)
             self._full = Vanilla(engine, size_px, same, seed, measure)
             return
         self.grid = grid = SupportGrid.of(size_px, params.support_divisor)

@@ -23,7 +23,7 @@ _RESTART = 0xFFFFFFFF
 
 def standalone_context() -> moderngl.Context:
     """A context of its own by EGL, which wants no display. moderngl's bare Exception where there is no driver."""
-    return moderngl.create_standalone_context(require=330, backend="egl")
+    return moderngl.create_standalone_context(require=330, backend="egl")  # type: ignore[arg-type]
 
 
 def grid_strips(columns: int, rows: int) -> np.ndarray:
