@@ -20,7 +20,7 @@ $(READY): pyproject.toml constraints.txt .ci/system-packages
 	@test -x $(BIN)/python || $(PYTHON) -m venv .venv
 	@echo "setup: installing Python packages into .venv"
 	@$(BIN)/python -m pip install -q -c constraints.txt pip setuptools wheel
-	@$(BIN)/python -m pip install -q -c constraints.txt --no-build-isolation -e '.[dev]'
+	@PYTHONWARNINGS=ignore $(BIN)/python -m pip install -q -c constraints.txt --no-build-isolation -e '.[dev]'
 	@touch $@
 	@echo "setup: ready"
 

@@ -39,8 +39,21 @@ def present() -> Figures:
     return {"present": present_bench()}
 
 
+def dense() -> Figures:
+    """Temporally dense against vanilla + TAA at 960x540, and the sizes at which it runs live; keys under ``dense``."""
+    from renderers.bench_dense import live_sizes, measure_saving
+    from stimuli.load import load_scene
+
+    names = ("tunnel_geom", "toy_car", "bar")
+    saving = {name: asdict(measure_saving(load_scene(name))) for name in names}
+    live = live_sizes(load_scene("tunnel_geom"))
+    holding = [size for size, taken in live.items() if taken["p95_ms"] < 1000 / 240]
+    return {"dense": {**saving, "live_tunnel_geom": live, "largest_live_240_hz": holding[-1] if holding else "none"}}
+
+
 SECTIONS: tuple[Section, ...] = (
     Section("whitted", "Whitted ray tracing against Mitsuba's own direct light, 960x540", whitted),
+    Section("dense", "temporally dense against TAA at one resolution, and live at 240 Hz", dense),
     Section("present", "work per refresh of one 512x512 streamed panel", present),
 )
 
