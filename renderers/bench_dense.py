@@ -23,7 +23,7 @@ LIVE_SIZES_PX = ((160, 90), (240, 136), (320, 180), (400, 224), (480, 270), (640
 
 @dataclass(frozen=True)
 class DenseSaving:
-    """Milliseconds of TAA over those of temporally dense: trace, whole frame; ``compositing_ratio``: its over theirs."""
+    """Milliseconds of TAA by those of temporally dense: trace, whole; ``compositing_ratio``: its by theirs."""
 
     trace_ratio: float
     whole_ratio: float
@@ -75,9 +75,7 @@ def live_sizes(
     engine, params = Engine(scene), technique_params("temporally_dense", {})
     found = {}
     for size_px in sizes_px:
-        technique = TECHNIQUES["temporally_dense"](
-            engine, size_px, technique_params("temporally_dense", {}), 0, "total"
-        )
+        technique = TECHNIQUES["temporally_dense"](engine, size_px, params, 0, "total")
         taken = []
         for k in range(frames + 16):
             frame = technique.render(view_at(k, RATE_HZ, Fraction(1), size_px, scene.camera, cut=k == 0))
