@@ -25,7 +25,7 @@ class Vanilla(Parameters):
     ``delay_frames``: the picture is of so many refreshes ago (double buffering)."""
 
     light_samples: Literal[1, 4, 9, 16, 25, 36, 49, 64, 81, 100, 144, 256] = 1
-    delay_frames: int = Field(0, ge=0, le=8)
+    delay_frames: int = Field(default=0, ge=0, le=8)
 
 
 class TemporallyDense(Parameters):
@@ -52,7 +52,7 @@ class TemporalAntialiasing(Parameters):
     alpha: float = Field(0.1, gt=0, le=1)
     box_sigmas: float = Field(1.0, ge=0, le=8)
     reflected_motion: bool = True
-    delay_frames: int = Field(0, ge=0, le=8)
+    delay_frames: int = Field(default=0, ge=0, le=8)
 
 
 class Checkerboard(Parameters):
@@ -66,14 +66,14 @@ class FramedLowResolution(Parameters):
     """Every refresh at ``samples_per_s`` primary rays a second (rounded down to whole pixels), enlarged bilinearly."""
 
     samples_per_s: float = Field(3.3e6, gt=0)
-    delay_frames: int = Field(0, ge=0, le=8)
+    delay_frames: int = Field(default=0, ge=0, le=8)
 
 
 class FramedLowRate(Parameters):
     """Full resolution as often as ``samples_per_s`` allows; the last whole frame is held between."""
 
     samples_per_s: float = Field(3.3e6, gt=0)
-    delay_frames: int = Field(0, ge=0, le=8)
+    delay_frames: int = Field(default=0, ge=0, le=8)
 
 
 class TraditionalFrameless(Parameters):

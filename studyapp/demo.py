@@ -76,7 +76,7 @@ def _step(words: str, arguments: list[str]) -> None:
 
 def _display_arguments() -> list[str]:
     """A window locked at 240 Hz where there is one, else off-screen; an unlocked one is overridden by name, aloud."""
-    reasons = []
+    reasons: list[str] = []
     for kind in ("glfw", "offscreen"):
         probe = subprocess.run(
             [sys.executable, "-m", "studyapp", "display", "--display", kind, "--rate", "240", "--json"],
