@@ -124,8 +124,9 @@ class Engine:
     """A scene ready to be traced. Build it once for a clip or a session.
 
     ``lighting``: 'direct' (Whitted), 'ambient_occlusion' (base colour times open sky, no lights), 'probes' (direct plus
-    ``indirect``, a `renderers.polar.probes.ProbeGrid` that `state` brings up to date for each new view). ``sphere_lights``: 'point' or 'sampled'. ``ao_radius``: world units;
-    None: 0.05 of the bounding radius. ``requirements``: what kernels contain (default: what the scene requires; more
+    ``indirect``, a `renderers.polar.probes.ProbeGrid` that `state` brings up to date for each new view).
+    ``sphere_lights``: 'point' or 'sampled'. ``ao_radius``: world units; None: 0.05 of the bounding radius.
+    ``requirements``: what kernels contain (default: what the scene requires; more
     changes no picture). ``debug``: count what is not finite at each stage, see `trapped`. Raises InputError for unknown
     settings and meshes that are not finite.
     """
@@ -164,6 +165,14 @@ class Engine:
         self._materials = material_arrays(self.tracer.materials)
         self._constants: tuple[Any, ...] | None = None
         self._trapped = opaque_uint(np.zeros(len(STAGES))) if debug else None
+        self.indirect: ProbeGrid | None = ProbeGrid(self) if lighting == "probes" else None
+
+    def with_probes(self, settings: Probes, seed: int = 0) -> Engine:
+        """This engine with light probes of its own, sharing scene and tracer: for a technique that brings probes."""
+        other = copy.copy(self)
+        other.lighting = "probes"
+        other.indirect = ProbeGrid(other, settings, seed)
+        return other
 
     def trapped(self) -> dict[str, int]:
         """Active lanes whose values were not finite, by the stage that first showed it; counts from 0 again.
@@ -219,6 +228,9 @@ class Engine:
             to_world=self._constants[3],
             trapped=self._trapped,
         )
+        if self.indirect is not None:
+            state.indirect = self.indirect.advance(state, view)
+        return state
 
     # Called inside kernels ------------------------------------------------------------------------------------------
 

@@ -72,3 +72,16 @@ def surface_at(
         ca, cb, cc = (dr.gather(mi.Vector4f, arrays.colors, i, active) for i in index)
         color = ca * w + cb * hit.u + cc * hit.v
     return Surface(point, local, mi.Normal3f(normal), mi.Normal3f(geometric), uv, density, face.w, color)
+
+
+def met_from_behind(
+    tracer: Tracer, arrays: SceneArrays, poses: Poses, hit: RawHit, d: Any, time_s: Any, active: Any
+) -> Any:
+    """Whether a ray of direction ``d`` met the back of its face (fronts are counter-clockwise)."""
+    face = dr.gather(mi.Vector4u, arrays.faces, hit.face, active)
+    a, b, c = (dr.gather(mi.Vector4f, arrays.vertices, i * 2, active) for i in (face.x, face.y, face.z))
+    pa, pb, pc = (mi.Point3f(v.x, v.y, v.z) for v in (a, b, c))
+    across = mi.Vector3f(dr.cross(pb - pa, pc - pa))
+    if tracer.bodies:
+        across = mi.Vector3f(pose_at(poses, hit.mover, time_s, active).normal(across))
+    return dr.dot(across, d) > 0
