@@ -31,6 +31,8 @@ from studyapp.gaze.fixation import FixationWatch
 from studyapp.inclusion import answers_about_self
 from studyapp.lab_file import Lab, find_lab, photometry_age_warning
 from studyapp.manifest_source import Manifests
+from studyapp.present.frame_loop import ask_realtime, children_stay_normal, leave_realtime
+from studyapp.present.overlay import Style, style_on
 from studyapp.present.presenter import Presenter
 from studyapp.resume import Interrupted, answers_so_far, interrupted, mend, next_session_path, session_paths, unfinished
 from studyapp.seams import Display
@@ -63,6 +65,7 @@ class RunRequest:
     about: Mapping[str, str] = field(default_factory=dict)
     markers: str = ""
     pids: Path | None = None
+    realtime: bool = False
 
 
 @dataclass(frozen=True)
@@ -98,12 +101,18 @@ def run_session(request: RunRequest) -> RunDone:
         trials = sources.planned(trials) if before is None else before.plan
         used = sources.check(trials, request.overrides)
     with contextlib.ExitStack() as stack:
+        # Before the display is opened: the driver's own threads inherit it.
+        priority = ask_realtime() if request.realtime else "normal"
+        stack.callback(leave_realtime)
         display = _display(request, study, lab, kind, before)
         stack.callback(display.close)
+        style = session_style(study, lab)
         certificate = certify(
             display, 480, declared=lab.display.declared, encoding=lab.encoding_name(),
-            photometry=lab.photometry_record(),
+            photometry=lab.photometry_record(), background_code=style.background, priority=priority,
         )  # fmt: skip
+        # Writer, readers and emulators are started from here on, and are to stay ordinary processes.
+        children_stay_normal()
         used += _permitted(request, study, certificate)
         geometry = _screen(study, lab)
         devices = stack.enter_context(
@@ -114,7 +123,7 @@ def run_session(request: RunRequest) -> RunDone:
         look = devices.emulators[1].tell if request.simulated else None
         measured, needed = check_gaze(
             study.gaze, devices.gaze, display, geometry, request.overrides,
-            None if look is None else lambda x, y: look("look", x, y),
+            None if look is None else lambda x, y: look("look", x, y), background=style.background / 255,
         )  # fmt: skip
         used += needed
         if isinstance(sources, StoredSources):
@@ -190,8 +199,9 @@ def _run(request: RunRequest, ready: Prepared) -> RunDone:
                 log.event("eyes", "fixation", json.dumps(fixation_record(study.gaze, trial, number, runner)))
 
         presenter = Presenter(
-            ready.display, log, geometry=_view_geometry(study, ready.lab), abort_keys=frozenset({"escape"})
-        )
+            ready.display, log, geometry=_view_geometry(study, ready.lab), style=session_style(study, ready.lab),
+            patch="off" if ready.lab.sensor is None else "refresh", abort_keys=frozenset({"escape"}),
+        )  # fmt: skip
         rules = Rules(study.timing.miss_policy, study.timing.max_missed, study.gaze.fixation_limit_deg)
         # The virtual display leaps over refreshes: there is nothing to look at in between.
         watched = None
@@ -320,6 +330,12 @@ def _view_geometry(study: Study, lab: Lab) -> ViewGeometry:
         return lab.display.geometry
     wide, high = study.display.panel_m(study.display.size_px)
     return ViewGeometry(wide, high, study.display.distance_m)
+
+
+def session_style(study: Study, lab: Lab) -> Style:
+    """The protocol's background, letters that can be read on it, and the light patch where the lab has its sensor."""
+    corner = "lower_left" if lab.sensor is None else lab.sensor.patch_corner
+    return style_on(round(255 * study.display.background), corner)
 
 
 def _consent(study: Study, trial: Trial, text: str) -> dict[str, Any]:

@@ -32,6 +32,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--about", action="append", default=[], metavar="NAME=VALUE",
                         help="an answer to an inclusion question of the protocol; repeatable")  # fmt: skip
     parser.add_argument("--markers", default="", metavar="ID", help="say trials and answers on an LSL marker stream")
+    parser.add_argument("--realtime", action="store_true",
+                        help="ask the system for real-time priority for the presenter; what came of it is recorded")
     parser.add_argument("--pids", type=Path, default=None, metavar="FILE", help=argparse.SUPPRESS)
 
 
@@ -43,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
         protocol=args.protocol, participant=args.participant, display=args.display, monitor=args.monitor,
         simulated=args.observer == "simulated", resume=args.resume, data=args.data, store=args.store, lab=args.lab,
         seed=args.seed, overrides=pairs("--override", args.override), about=pairs("--about", args.about),
-        markers=args.markers, pids=args.pids,
+        markers=args.markers, pids=args.pids, realtime=args.realtime,
     )  # fmt: skip
     done = run_session(request)
     print(f"{done.path}: {done.presentations} presentations, {done.answers} answers; complete")

@@ -23,6 +23,7 @@ def check_gaze(
     geometry: ScreenGeometry,
     overrides: Mapping[str, str],
     on_target: Callable[[float, float], None] | None = None,
+    background: float = 119 / 255,
 ) -> tuple[dict[str, Any] | None, list[dict[str, str]]]:
     """Validate where the protocol requires gaze; (measures, overrides that were needed).
 
@@ -45,7 +46,7 @@ def check_gaze(
     if gaze is None:
         need(TRACKER_OVERRIDE, [problem("gaze", "eye tracker", "none in the lab file", "one, as the protocol asks")])
     elif display.stamp_class != "virtual":
-        screen = TargetScreen(display, geometry)
+        screen = TargetScreen(display, geometry, background)
         try:
             found = validate(screen, gaze, geometry, target_points(limits.points), on_target)
         finally:

@@ -127,6 +127,21 @@ def ask_realtime(priority: int = 10) -> str:
     return f"fifo {priority}"
 
 
+def children_stay_normal() -> None:
+    """Processes and threads started from here on have ordinary priority; nothing where ours is ordinary."""
+    if hasattr(os, "SCHED_RESET_ON_FORK") and os.sched_getscheduler(0) == os.SCHED_FIFO:
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_getparam(0))
+
+
+def leave_realtime() -> None:
+    """Ordinary priority again; nothing where it is ordinary."""
+    reset = getattr(os, "SCHED_RESET_ON_FORK", 0)
+    if hasattr(os, "sched_getscheduler") and os.sched_getscheduler(0) & ~reset == os.SCHED_FIFO:
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+
+
+
+
 def show_phase(
     stage: Stage, phase: Phase, responder: Responder | None, gaze: GazeSource | None, policy: MissPolicy
 ) -> PhaseShown:

@@ -42,6 +42,13 @@ class Style:
     patch_corner: str = "lower_left"
 
 
+def style_on(background: int, patch_corner: str = "lower_left") -> Style:
+    """The style for a background of this display code: light letters on the dark half, dark ones on the bright half."""
+    if background <= 128:
+        return Style(background=background, patch_corner=patch_corner)
+    return Style(background=background, ink=16, dim=60, patch_corner=patch_corner)
+
+
 def pixels_per_degree(display_px: tuple[int, int], geometry: ViewGeometry) -> float:
     """Pixels that one degree at the screen's centre spans (the smaller of the two axes)."""
     across = display_px[0] / geometry.width_m * geometry.distance_m * 2 * tan(radians(0.5))
