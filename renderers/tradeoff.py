@@ -25,7 +25,7 @@ from renderers.metrics import pixels_per_degree, sequence_error
 from renderers.motion_picture import MotionPicture
 from renderers.clip_frames import scene_exposure, technique_params, view_at
 from renderers.technique import Frame, Gaze, Measure
-from stimuli.encode import display_values
+from stimuli.encode import display_values, encode
 from stimuli.scene import CameraPath, Scene
 
 _STAGE_FRAMES = 8
@@ -155,21 +155,38 @@ def _shown(
         yield technique.render(view)
 
 
-def measure_setting(engine: Engine, camera: CameraPath, setting: Setting, gold: Gold, c: Conditions) -> dict[str, Any]:
-    """One row: what ``setting`` costs a refresh and how far it is from the gold standard."""
-    pictures: list[np.ndarray] = []
+@dataclass(frozen=True)
+class Shown:
+    """What a setting showed of the compared refreshes: ``colors`` (n, H, W, 3) linear float32, one entry a refresh (a
+    held frame is there several times), ``seconds`` of each frame, ``rays`` of all frames by kind."""
+
+    colors: list[np.ndarray]
+    seconds: list[float]
+    rays: dict[str, int]
+
+
+def shown_by(engine: Engine, camera: CameraPath, setting: Setting, exposure: float, c: Conditions) -> Shown:
+    """Render ``setting`` through the warm-up and keep the compared refreshes."""
+    colors: list[np.ndarray] = []
     seconds: list[float] = []
-    rays: dict[str, float] = {}
+    rays: dict[str, int] = {}
     per_content = c.rate_hz / setting.rate_hz
-    for k, frame in enumerate(_shown(engine, camera, setting, c, gold.exposure, "total")):
+    for k, frame in enumerate(_shown(engine, camera, setting, c, exposure, "total")):
         first, after = math.ceil(k * per_content), math.ceil((k + 1) * per_content)
         shown = [r for r in range(first, after) if c.warm_up_frames <= r < c.warm_up_frames + c.frames]
         if shown:
-            value = display_values(frame.color, gold.exposure).astype(np.float32)
-            pictures += [value] * len(shown)
+            colors += [np.array(frame.color, np.float32)] * len(shown)
             seconds.append(frame.seconds["total"])
             for kind, number in frame.rays.items():
-                rays[kind] = rays.get(kind, 0.0) + number
+                rays[kind] = rays.get(kind, 0) + number
+    return Shown(colors, seconds, rays)
+
+
+def measure_setting(engine: Engine, camera: CameraPath, setting: Setting, gold: Gold, c: Conditions) -> dict[str, Any]:
+    """One row: what ``setting`` costs a refresh and how far it is from the gold standard."""
+    shown = shown_by(engine, camera, setting, gold.exposure, c)
+    seconds, rays = shown.seconds, shown.rays
+    pictures = [display_values(color, gold.exposure).astype(np.float32) for color in shown.colors]
     error = sequence_error(pictures, gold.values, gold.motion, gold.ppd, c.flip_windows)
     # held frames of a low-rate technique cost nothing: the mean over refreshes is what a budget means
     traced = [s for s in seconds if s > 0]
@@ -182,8 +199,9 @@ def measure_setting(engine: Engine, camera: CameraPath, setting: Setting, gold: 
         "origin": setting.origin,
         "content_hz": float(setting.rate_hz),
         "ms_per_content_frame": ms_content,
+        "ms_p95": float(np.quantile(traced, 0.95)) * 1e3,
         "ms_per_refresh": ms_content * busy_share * float(setting.rate_hz / c.rate_hz),
-        "primary_per_s": rays.get("primary", 0.0) / c.frames * float(c.rate_hz),
+        "primary_per_s": rays.get("primary", 0) / c.frames * float(c.rate_hz),
         "rays_per_s": sum(rays.values()) / c.frames * float(c.rate_hz),
         "rays": {kind: number / c.frames for kind, number in rays.items()},
         **{name: value for name, value in asdict(error).items() if name != "rmse_by_refresh"},
@@ -191,7 +209,49 @@ def measure_setting(engine: Engine, camera: CameraPath, setting: Setting, gold: 
         "rmse_eyes": math.sqrt((error.rmse_still**2 + error.rmse_tracking**2) / 2),
     }
     row["stages_ms"] = _stages(engine, camera, setting, gold.exposure, c)
+    row["precision"] = {
+        kind: asdict(what) for kind, what in precision_errors(shown.colors, gold.values, gold.exposure).items()
+    }
     return row
+
+
+@dataclass(frozen=True)
+class PrecisionError:
+    """What storing adds, in display values: RMS and largest difference from the float picture (before any rounding),
+    and how much the RMSE against the gold standard grows."""
+
+    rmse_added: float
+    most_added: float
+    rmse_growth: float
+
+
+def precision_errors(colors: Sequence[np.ndarray], gold: np.ndarray, exposure: float) -> dict[str, PrecisionError]:
+    """The errors of ``half`` (stored clips: OpenEXR half floats) and ``codes8`` (the play cache: RGBA8 codes, made from
+    those halves) against single precision.
+
+    Args:
+        colors: linear pictures (H, W, 3), float32.
+        gold: their gold standard in display values, (n, H, W, 3).
+    """
+    squares = {kind: np.zeros(2) for kind in ("half", "codes8")}
+    most = dict.fromkeys(squares, 0.0)
+    plain = 0.0
+    for color, wanted in zip(colors, gold, strict=True):
+        exact = display_values(color, exposure)
+        plain += float(np.mean((exact - wanted) ** 2))
+        stored = {
+            "half": display_values(color.astype(np.float16), exposure),
+            "codes8": encode(color, exposure)[..., :3] / 255.0,
+        }
+        for kind, values in stored.items():
+            squares[kind] += [np.mean((values - exact) ** 2), np.mean((values - wanted) ** 2)]
+            most[kind] = max(most[kind], float(np.abs(values - exact).max()))
+    count = max(1, len(colors))
+    root = math.sqrt(plain / count)
+    return {
+        kind: PrecisionError(math.sqrt(added / count), most[kind], math.sqrt(against / count) - root)
+        for kind, (added, against) in squares.items()
+    }
 
 
 def _stages(engine: Engine, camera: CameraPath, setting: Setting, exposure: float, c: Conditions) -> dict[str, float]:
@@ -231,10 +291,13 @@ class RowFile:
         self.path = path
         self.rows: dict[str, dict[str, Any]] = {}
         if path.exists():
-            for line in path.read_text().splitlines():
-                if line.strip():
-                    row = json.loads(line)
-                    self.rows[row["key"]] = row
+            text = path.read_text()
+            whole = text[: text.rfind("\n") + 1]
+            for line in whole.splitlines():
+                row = json.loads(line)
+                self.rows[row["key"]] = row
+            if len(whole) < len(text):  # the run was killed in the middle of its last line
+                path.write_text(whole)
 
     @staticmethod
     def key(scene: Scene, camera: CameraPath, setting: Setting, c: Conditions, version: int) -> str:

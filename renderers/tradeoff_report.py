@@ -58,6 +58,59 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
     )
 
 
+def spread(rows: Sequence[Mapping[str, Any]]) -> str:
+    """A line a technique: how far cost and error (both eyes, x 255) go over all its settings at the display's rate."""
+    fastest = max(row["content_hz"] for row in rows)
+    lines = []
+    for name in dict.fromkeys(row["technique"] for row in rows):
+        own = [row for row in rows if row["technique"] == name and row["content_hz"] == fastest]
+        errors, costs = [row["rmse_eyes"] * 255 for row in own], [row["ms_per_refresh"] for row in own]
+        if own:
+            lines.append(
+                f"  {name:<22} {len(own):>3} settings  RMSE {min(errors):6.2f} to {max(errors):6.2f}"
+                f"   ms {min(costs):7.2f} to {max(costs):7.2f}"
+            )
+    return "\n".join(lines)
+
+
+def equal_cost(rows: Sequence[Mapping[str, Any]], cost: str, limit: float) -> list[Mapping[str, Any]]:
+    """Each technique's most accurate row that costs at most ``limit`` (5 % allowed for noise), the best first."""
+    best: dict[str, Mapping[str, Any]] = {}
+    for row in sorted(rows, key=lambda row: row["rmse_eyes"]):
+        if row[cost] <= limit * 1.05:
+            best.setdefault(row["technique"], row)
+    return list(best.values())
+
+
+def comparisons(rows: Sequence[Mapping[str, Any]]) -> str:
+    """What each technique reaches at the primary rays, and at the milliseconds, of temporally_dense's default."""
+    base = next((row for row in rows if row["technique"] == "temporally_dense" and row["origin"] == "default"), None)
+    if base is None:
+        return ""
+    lines = []
+    for cost, words in (("primary_per_s", "primary rays a second"), ("ms_per_refresh", "ms a refresh")):
+        lines.append(f"  at no more than {base[cost]:.4g} {words} (temporally_dense), RMSE still / tracking:")
+        lines += [
+            f"    {row['label']:<58} {row['rmse_still'] * 255:6.2f} / {row['rmse_tracking'] * 255:6.2f}"
+            for row in equal_cost(rows, cost, base[cost])
+        ]
+    return "\n".join(lines)
+
+
+def precision(rows: Sequence[Mapping[str, Any]]) -> str:
+    """What half floats and 8-bit codes add to the pictures of each technique's default, in display codes."""
+    lines = []
+    for row in rows:
+        if row["origin"] == "default":
+            parts = [
+                f"{kind}: adds {e['rmse_added'] * 255:.4f} (largest {e['most_added'] * 255:.3f}),"
+                f" RMSE grows by {e['rmse_growth'] * 255:+.4f}"
+                for kind, e in row["precision"].items()
+            ]
+            lines.append(f"  {row['technique']:<22} " + "   ".join(parts))
+    return "\n".join(lines)
+
+
 def write_csv(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
     """One line a row; parameters and rays as JSON text."""
     names = [name for name in rows[0] if name not in ("key", "rmse_by_refresh")] if rows else []

@@ -110,6 +110,9 @@ def run(args: argparse.Namespace) -> int:
         for name, rows in by_scene.items():
             print(f"\n{name}, {args.size} at {args.rate} Hz, errors x 255 against {args.spp} spp (*: on the front)")
             print(tradeoff_report.table(rows))
+            print(f"\nspread over settings\n{tradeoff_report.spread(rows)}")
+            print(f"\nat equal cost\n{tradeoff_report.comparisons(rows)}")
+            print(f"\nprecision of what is stored, display codes\n{tradeoff_report.precision(rows)}")
         print(f"\nwritten: {args.out / 'tradeoff.csv'}, .json, .png")
     return 0
 

@@ -1,4 +1,4 @@
-"""The table of extremes: scenes, cameras and clocks at the ends of what the numbers can hold, and what must come out."""
+"""The table of extremes: scenes, cameras and clocks at the ends of what numbers can hold, and what must come out."""
 
 from __future__ import annotations
 
@@ -167,8 +167,8 @@ def mirrors() -> Scene:
 
 @dataclass(frozen=True)
 class Extreme:
-    """One row: ``make`` the scene; what must come out: ``same`` picture as the ordinary scene's, ``black``, ``constant``
-    colour, ``clamped`` (at least one shading result was brought back to 65504), ``sane``
+    """One row: ``make`` the scene; what must come out: ``same`` picture as the ordinary scene's, ``black``,
+    ``constant`` colour, ``clamped`` (at least one shading result was brought back to 65504), ``sane``
     (something is seen) or merely ``finite``."""
 
     name: str
