@@ -1,8 +1,9 @@
 """What a session file holds: the contract between `studyapp` (writes) and `analysis` (reads).
 
-One SQLite database (WAL). A table exists only if it has rows: readers use `has_table`. All ``*_ns`` are session
-nanoseconds of `studyapp.clock` (monotonic, zero at the session's start). Streams are packed: a chunk is the bytes of a
-numpy structured array with the dtype given here, little endian.
+One SQLite database (WAL). A table exists only if it has rows: readers use `has_table`. All ``*_ns`` are nanoseconds of
+`studyapp.clock`, the machine's monotonic clock as it is (its zero is the machine's: the header's ``started_ns`` is the
+session's start on it); on the virtual display, trials, presses and flips are on that display's own clock.
+Streams are packed: a chunk is the bytes of a numpy structured array with the dtype given here, little endian.
 """
 
 from __future__ import annotations
@@ -17,8 +18,10 @@ SCHEMA_VERSION = 1
 TABLES: dict[str, str] = {
     # key -> JSON value. Keys: schema_version, study, protocol_text, protocol_sha256, lab_text, lab_sha256, participant,
     # run, observer_kind ('person' | 'simulated'), observer (name of the answering device or model), seed, started_utc,
-    # completed_utc, software {package: version}, machine {...}, certificate {...}, stamp_class, refresh_hz, overrides
-    # [{check, reason}], analysis_plan {...}, conditions {name: {...}}, plan [Trial.as_dict(), ...], group, git_commit
+    # started_ns (the session's start on the clock of all *_ns), completed_utc, software {package: version},
+    # machine {...}, certificate {...}, stamp_class, refresh_hz, overrides [{check, reason}], analysis_plan {...},
+    # conditions {name: {...}}, plan [Trial.as_dict(), ...], group, git_commit,
+    # checksums {table: sha256 of its rows} (written last, when the session is sealed)
     "header": "CREATE TABLE header (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID",
     # One row a presentation. trial: running number of presentations (0, 1, ...); planned: index in the plan; attempt:
     # 0 first, 1 re-queued ...; status: ok | timing_failed | device_lost | aborted; panels, factors: JSON of the plan
@@ -37,11 +40,27 @@ TABLES: dict[str, str] = {
         "rating REAL, chosen TEXT, rt_ns INTEGER, press_ns INTEGER, device TEXT NOT NULL, device_stamp REAL, raw BLOB, "
         "timed_out INTEGER NOT NULL DEFAULT 0, PRIMARY KEY (trial, question))"
     ),
-    "flips": "CREATE TABLE flips (trial INTEGER NOT NULL, chunk INTEGER NOT NULL, data BLOB NOT NULL, PRIMARY KEY (trial, chunk))",
-    "gaze": "CREATE TABLE gaze (device TEXT NOT NULL, chunk INTEGER NOT NULL, data BLOB NOT NULL, PRIMARY KEY (device, chunk))",
-    "events": "CREATE TABLE events (t_ns INTEGER NOT NULL, device TEXT NOT NULL, kind TEXT NOT NULL, payload TEXT NOT NULL, raw BLOB)",
+    "flips": (
+        "CREATE TABLE flips (trial INTEGER NOT NULL, chunk INTEGER NOT NULL, data BLOB NOT NULL, PRIMARY KEY "
+        "(trial, chunk))"
+    ),
+    "gaze": (
+        "CREATE TABLE gaze (device TEXT NOT NULL, chunk INTEGER NOT NULL, data BLOB NOT NULL, PRIMARY KEY "
+        "(device, chunk))"
+    ),
+    # device, kind: a device's connected | absent | vanished | reconnected | malformed | marker; session resumed; eyes
+    # validation | calibration | fixation; live frames (raw: LIVE_DTYPE of studyapp.present.live); target path (payload:
+    # trial, panels [{slot, frames}] in the order of the flips' ``source``; raw: TARGET_DTYPE of each panel's frames,
+    # one panel after the other). payload: JSON
+    "events": (
+        "CREATE TABLE events (t_ns INTEGER NOT NULL, device TEXT NOT NULL, kind TEXT NOT NULL, payload TEXT "
+        "NOT NULL, raw BLOB)"
+    ),
     # offset_ns and drift: session_ns = device_s * 1e9 * (1 + drift_ppm * 1e-6) + offset_ns
-    "clock_fits": "CREATE TABLE clock_fits (t_ns INTEGER NOT NULL, device TEXT NOT NULL, offset_ns REAL NOT NULL, drift_ppm REAL NOT NULL, uncertainty_ns REAL NOT NULL, n INTEGER NOT NULL)",
+    "clock_fits": (
+        "CREATE TABLE clock_fits (t_ns INTEGER NOT NULL, device TEXT NOT NULL, offset_ns REAL NOT NULL, "
+        "drift_ppm REAL NOT NULL, uncertainty_ns REAL NOT NULL, n INTEGER NOT NULL)"
+    ),
     # manifest, cost, luminance: JSON as in the clip store
     "clips": "CREATE TABLE clips (clip TEXT PRIMARY KEY, manifest TEXT NOT NULL, cost TEXT NOT NULL)",
     "notes": "CREATE TABLE notes (t_ns INTEGER NOT NULL, text TEXT NOT NULL)",
@@ -50,6 +69,10 @@ TABLES: dict[str, str] = {
 }
 
 MAX_PANELS = 4
+
+TARGET_DTYPE = np.dtype([("x_dva", "<f4"), ("y_dva", "<f4")])
+"""Where a moving fixation target stands on the screen in one frame of a clip: degrees right of the screen's centre and
+up, as in GAZE_DTYPE; nan where it is behind the eye."""
 
 FLIP_DTYPE = np.dtype(
     [

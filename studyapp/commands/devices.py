@@ -32,13 +32,24 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="KIND:PORT",
         help=f"show what one sends; KIND: {', '.join(KINDS)}; port 'emulated': an emulator",
     )
-    parser.add_argument("--seconds", type=float, default=10.0, help="how long to test (default 10)")
+    parser.add_argument(
+        "--watch",
+        type=Path,
+        default=None,
+        metavar="SESSION",
+        help="for the experimenter, in another terminal: gaze and progress of the running session with this file",
+    )
+    parser.add_argument("--seconds", type=float, default=None, help="how long to test (default 10) or watch (its end)")
     parser.add_argument("--lab", default=None, metavar="FILE", help="lab file (default: $STUDYAPP_LAB, else lab.yaml)")
     parser.add_argument("--no-lsl", action="store_true", help="do not look for streams on the network")
 
 
 def run(args: argparse.Namespace) -> int:
     """List, or test one. 1 where the tested device cannot be reached."""
+    if args.seconds is not None and not 0 < args.seconds <= 86400:
+        raise InputError(problem("--seconds", "duration", args.seconds, "more than 0, at most 86400"))
+    if args.watch is not None:
+        return _watch_session(args.watch, args.seconds)
     if args.test is not None:
         return _test(args)
     found = attached(look_for_streams=not args.no_lsl)
@@ -108,8 +119,6 @@ def _test(args: argparse.Namespace) -> int:
     kind, colon, port = args.test.partition(":")
     if not colon or kind not in KINDS:
         raise InputError(problem("--test", "device", repr(args.test), f"KIND:PORT with KIND of {' | '.join(KINDS)}"))
-    if not 0 < args.seconds <= 3600:
-        raise InputError(problem("--seconds", "duration", args.seconds, "more than 0, at most 3600"))
     lab = find_lab(args.lab, Path.cwd())
     view = lab.display.geometry
     screen = ScreenGeometry(view.width_m, view.height_m, view.distance_m, lab.display.size_px)
@@ -125,7 +134,7 @@ def _test(args: argparse.Namespace) -> int:
         if emulator is not None and kind in BOX_KINDS:
             for n in range(3):
                 emulator.tell("press", str(n + 1), now_ns() + int((n + 1) * 0.2e9))
-        _watch(reader, kind, args.seconds)
+        _watch(reader, kind, 10.0 if args.seconds is None else args.seconds)
         missing = reader.missing()
         if missing:
             raise JobFailed("; ".join(missing))
@@ -147,6 +156,21 @@ def emulate(kind: str, screen: ScreenGeometry) -> Any:
     if kind == "pupil":
         return tracker_emulators.pupil_emulator(120.0, screen)
     return emulators.box_emulator(kind)
+
+
+def _watch_session(path: Path, seconds: float | None) -> int:
+    """A line twice a second until the session is complete, or ``seconds`` are over."""
+    from studyapp.session_watch import look
+
+    until_ns = None if seconds is None else now_ns() + int(seconds * 1e9)
+    while True:
+        state = look(path)
+        print(state.line(), flush=True)
+        if state.complete:
+            print("the session is complete")
+        if state.complete or (until_ns is not None and now_ns() >= until_ns):
+            return 0
+        select.select([], [], [], 0.5)
 
 
 def _watch(reader: DeviceReader, kind: str, seconds: float) -> None:

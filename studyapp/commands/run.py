@@ -32,8 +32,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--about", action="append", default=[], metavar="NAME=VALUE",
                         help="an answer to an inclusion question of the protocol; repeatable")  # fmt: skip
     parser.add_argument("--markers", default="", metavar="ID", help="say trials and answers on an LSL marker stream")
-    parser.add_argument("--realtime", action="store_true",
-                        help="ask the system for real-time priority for the presenter; what came of it is recorded")
+    parser.add_argument(
+        "--realtime",
+        action="store_true",
+        help="ask the system for real-time priority for the presenter; what came of it is recorded",
+    )
     parser.add_argument("--pids", type=Path, default=None, metavar="FILE", help=argparse.SUPPRESS)
 
 

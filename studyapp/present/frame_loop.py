@@ -140,8 +140,6 @@ def leave_realtime() -> None:
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
-
-
 def show_phase(
     stage: Stage, phase: Phase, responder: Responder | None, gaze: GazeSource | None, policy: MissPolicy
 ) -> PhaseShown:

@@ -1,4 +1,4 @@
-"""A person's session in a real window: keys go through GLFW's callback, the keyboard and the presenter into the file."""
+"""A person's session in a real window: keys go through GLFW's callback, keyboard and presenter into the file."""
 
 from __future__ import annotations
 
