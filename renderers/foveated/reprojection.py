@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from renderers.backend import dr, mi
-from renderers.foveated.support import SupportGrid
+from renderers.foveated.support import FAR, SupportGrid
 from renderers.gl.context import NEAR
 from renderers.image import bilinear, fetch, rgb
 from renderers.parameters import Foveated
@@ -19,6 +19,8 @@ from renderers.rng import combined
 
 JUMP_PX = 4.0
 """Neighbours that were further apart than this lie on different surfaces."""
+BACKGROUND = 0.1 * FAR
+"""Tracer units: everything further away counts as background."""
 AT_REST_PX = 1 / 256
 """A pixel that comes from so near a pixel's centre, at the same scale, takes that pixel alone."""
 NORMAL_PAIRS = 1 << 14
@@ -110,11 +112,26 @@ def display_luma(color: Any, exposure: Any) -> Any:
 def look(
     grid: SupportGrid, place: Any, depth: Any, shown: Any, edge: Any, to_world: Any, exposure: Any, texel_pixel: Any
 ) -> Any:
-    """The reprojected picture at support resolution: (world depth, luma, edge, 1 where there is something), packed."""
+    """The reprojected picture at support resolution: (world depth, luma, edge, 1 where there is something), packed.
+
+    Luma is that of the texel's mean colour: 3x3 taps over its footprint, the coarse picture's filter. Background is as
+    far as `BACKGROUND`, where window depth still resolves 1 %.
+    """
     here = dr.gather(mi.Vector2f, place, texel_pixel)
     seen = was_seen(here, grid.width, grid.height)
-    z = world_depth(dr.gather(mi.Float, depth, texel_pixel), to_world)
-    luma = display_luma(rgb(fetch(shown, pixel_at(here, grid.width, grid.height), seen)), exposure)
+    z = dr.minimum(world_depth(dr.gather(mi.Float, depth, texel_pixel), to_world), BACKGROUND * to_world)
+    y = mi.Int32(texel_pixel // grid.width)
+    x = mi.Int32(texel_pixel) - y * grid.width
+    total, count = mi.Color3f(0), mi.Float(0)
+    for oy in (-1, 0, 1):
+        row = dr.clip(y + round(oy * grid.height / grid.rows / 3), 0, grid.height - 1) * grid.width
+        for ox in (-1, 0, 1):
+            column = dr.clip(x + round(ox * grid.width / grid.columns / 3), 0, grid.width - 1)
+            at = dr.gather(mi.Vector2f, place, mi.UInt32(row + column))
+            there = was_seen(at, grid.width, grid.height)
+            total += rgb(fetch(shown, pixel_at(at, grid.width, grid.height), there))
+            count += dr.select(there, mi.Float(1), 0)
+    luma = display_luma(total / dr.maximum(count, 1), exposure)
     column = mi.UInt32(dr.clip(here.x * (grid.columns / grid.width), 0, grid.columns - 1))
     row = mi.UInt32(dr.clip(here.y * (grid.rows / grid.height), 0, grid.rows - 1))
     vertex = (row + 1) * (grid.columns + 2) + column + 1

@@ -19,8 +19,8 @@ from renderers.engine import LARGEST, Engine, EngineState
 from renderers.eye_angles import pixel_eccentricity_deg, plane_values
 from renderers.foveated.cache import first_samples, merge
 from renderers.foveated.post_filter import filter_light
-from renderers.foveated.reprojection import look, mark, normal_table, resolve, world_depth
-from renderers.foveated.support import FAR, IS_TEXEL, SupportGrid, extract, move
+from renderers.foveated.reprojection import BACKGROUND, look, mark, normal_table, resolve, world_depth
+from renderers.foveated.support import IS_TEXEL, SupportGrid, extract, move
 from renderers.frozen import frozen, opaque_float, opaque_uint
 from renderers.gl.context import MeshRasteriser
 from renderers.parameters import Foveated as FoveatedParameters
@@ -168,7 +168,7 @@ class Foveated:
         texel = dr.gather(mi.UInt32, texel_of, pixel) & (IS_TEXEL - 1)
         overwrite = (dr.gather(mi.Float, probability, pixel) > 1) | (dr.gather(mi.UInt32, marks, texel) > 0)
         z_cache = world_depth(dr.gather(mi.Float, depth, pixel), to_world)
-        far = to_world * (0.1 * FAR)
+        far = to_world * BACKGROUND
         return merge(self.params, pixel, sample, overwrite, z_cache, far, t_max, buffers)
 
     def _choose(self, pixel: Any, probability: Any, texel_of: Any, marks: Any) -> Any:

@@ -1,0 +1,67 @@
+"""The foveal function: values by hand, configurations of the paper, shares at a display."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from renderers import render_clip
+from renderers.foveated.foveal_function import sampling_probability, share_below_full_rate, share_that_differs
+from renderers.parameters import Foveated
+from renderers.technique import ViewGeometry
+from stimuli import load_scene
+from stimuli.errors import InputError
+
+
+def test_the_named_configurations_are_the_papers() -> None:
+    regions = {name: Foveated(configuration=name).region for name in ("small", "medium", "large", "full")}
+    assert regions == {
+        "small": (5, 10, 0.01), "medium": (10, 20, 0.05), "large": (15, 30, 0.1), "full": (math.inf, math.inf, 1),
+    }  # fmt: skip
+    assert Foveated(configuration="small", r1_deg=40.0).region == (5, 40, 0.01)
+
+
+def test_probability_falls_linearly_between_the_radii() -> None:
+    p = Foveated(r0_deg=10, r1_deg=20, p_min=0.2)
+    e = [0, 10, 12.5, 15, 20, 21, 180]
+    np.testing.assert_allclose(sampling_probability(np.array(e), p), [1, 1, 0.8, 0.6, 0.2, 0.2, 0.2])
+
+
+def test_equal_radii_are_a_step_and_full_is_one_everywhere() -> None:
+    step = Foveated(r0_deg=10, r1_deg=10, p_min=0.0)
+    np.testing.assert_array_equal(sampling_probability(np.array([10.0, 10.001, 90]), step), [1, 0, 0])
+    assert (sampling_probability(np.linspace(0, 180, 50), Foveated(configuration="full")) == 1).all()
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"r0_deg": 20, "r1_deg": 10}, {"k_min": 0}, {"k_min": 0.9, "k_max": 0.1}, {"p_min": 1.1}, {"p_min": math.nan},
+        {"t_max": 0}, {"support_divisor": 0.5}, {"light_samples": 8}, {"r0_deg": math.nan}, {"r0_deg": 40},
+    ],
+)  # fmt: skip
+def test_settings_without_sense_are_errors(values: dict) -> None:
+    with pytest.raises(ValidationError):
+        Foveated(**values)
+
+
+def test_the_error_names_both_radii() -> None:
+    with pytest.raises(InputError) as caught:
+        render_clip(load_scene("bar"), "foveated", params={"r0_deg": 20, "r1_deg": 10})
+    assert "r1_deg 10 is below r0_deg 20" in str(caught.value)
+
+
+def test_shares_at_a_display() -> None:
+    near, far = ViewGeometry(1.0, 1.0, 0.5), ViewGeometry(0.1, 0.1, 1.0)
+    medium, full = Foveated(), Foveated(configuration="full")
+    # a circle of tan(10 deg) * 0.5 m on a square metre
+    inside = math.pi * (0.5 * math.tan(math.radians(10))) ** 2
+    assert share_below_full_rate(medium, (400, 400), 1.0, near) == pytest.approx(1 - inside, abs=2e-3)
+    assert share_below_full_rate(medium, (400, 400), 1.0, far) == 0
+    assert share_below_full_rate(full, (40, 40), 1.0, near) == 0
+    assert share_that_differs(medium, full, (40, 40), 1.0, far) == 0
+    assert share_that_differs(medium, full, (40, 40), 1.0, near) > 0.7
+    assert share_that_differs(medium, medium, (40, 40), 1.0, near) == 0
