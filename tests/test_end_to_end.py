@@ -194,3 +194,34 @@ def test_every_command_has_help_with_an_example() -> None:
         module = _load(name)
         assert module.HELP
         assert module.EXAMPLE.startswith("studyapp ")
+
+
+def test_the_demo_protocol_renders_and_runs_with_every_technique(tmp_path) -> None:
+    from studyapp.demo import protocol_text
+
+    text = protocol_text()
+    for long, short in (
+        (
+            "size_px: [160, 120], duration_s: 0.5, warm_up_s: 0.25",
+            "size_px: [32, 24], duration_s: 0.05, warm_up_s: 0.05",
+        ),
+        ("{scene: toy_car, start_s: 1}", "{scene: tunnel_geom, start_s: 2}"),
+        ("{scene: bar, start_s: 1}", "{scene: tunnel_geom, start_s: 3}"),
+        ("{median_s: 0.35, sd_log: 0.3, shift_s: 0.15}", "{median_s: 0.05, sd_log: 0.1, shift_s: 0.02}"),
+        ("iti_s: 0.2", "iti_s: 0.0"),
+        ("luminance_limit: 0.25", "luminance_limit: 1.0"),
+    ):
+        assert long in text
+        text = text.replace(long, short)
+    (tmp_path / "small.yaml").write_text(text)
+    studyapp("render", "small.yaml", "--store", "clips", cwd=tmp_path)
+    studyapp(
+        "run", "small.yaml", "--participant", "1", "--display", "offscreen", "--observer", "simulated",
+        "--store", "clips", "--data", "data", "--override", "display_lock=a test on a busy machine", cwd=tmp_path,
+    )  # fmt: skip
+    (session,) = (tmp_path / "data").glob("*.sqlite")
+    with sqlite3.connect(session) as file:
+        panels = " ".join(row[0] for row in file.execute("SELECT panels FROM trials"))
+    from renderers.catalogue import CATALOGUE
+
+    assert [name for name in CATALOGUE if f'"{name}"' not in panels] == []
