@@ -13,11 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
+from renderers.clip_frames import view_at
 from renderers.engine import Engine
 from renderers.parameters import Reference
 from renderers.parameters import TemporallyDense as Params
 from renderers.reference import ReferenceRenderer
-from renderers.clip_frames import view_at
 from renderers.temporally_dense.technique import TemporallyDense
 from stimuli.encode import display_values
 from tests.renderers.scenes import SlidingCamera, noise_pixels, quad, scene_of, unlit, velocity_for

@@ -10,9 +10,9 @@ import numpy as np
 import pyrender
 import pytest
 
+from renderers.clip_frames import view_at
 from renderers.engine import Engine
 from renderers.frozen import frozen
-from renderers.clip_frames import view_at
 from renderers.vanilla import frame_lanes
 from stimuli.errors import InputError
 from stimuli.scene import Light, Material, Mover, Scene, StillCamera
