@@ -10,10 +10,13 @@ import numpy as np
 import pandas as pd
 
 from analysis.rows import rows_of_table
-from analysis.sessions import Session, read_events, read_gaze
+from analysis.sessions import Session
+from analysis.streams import read_events, read_flips, read_gaze
+from protocols.records import TARGET_DTYPE
+from stimuli.errors import InputError, problem
 
 CENTRAL_FIXATION = frozenset({"fixed", "centre", "center", "cross", "central"})
-"""Names of fixation modes whose mark stands at the screen's centre; a moving target's path is not in a session."""
+"""Names of fixation modes whose mark stands at the screen's centre; a moving target's path is in the events."""
 
 QUALITY_COLUMNS = [
     "participant",
@@ -41,8 +44,9 @@ class HeatMap:
 
 @dataclass(frozen=True)
 class Gaze:
-    """``participants``: `QUALITY_COLUMNS`; ``trials``: participant, trial, condition, samples, valid_share, error_dva
-    (nan where no central mark was asked for); ``maps``: all trials, then one per fixation mode if there are several."""
+    """``participants``: `QUALITY_COLUMNS`; ``trials``: participant, trial, condition, fixation, samples, valid_share,
+    error_dva (nan where no mark was asked for, or where a moving one's path is not in the session); ``maps``: all
+    trials, then one per fixation mode if there are several."""
 
     participants: pd.DataFrame
     trials: pd.DataFrame
@@ -65,10 +69,47 @@ def _in_trials(session: Session) -> Iterator[tuple[str, Any, str, np.ndarray]]:
             yield device, row, mode, samples[a:b]
 
 
-def _distance_dva(samples: np.ndarray) -> np.ndarray:
-    """Angle between gaze and the straight-ahead direction, from azimuth and elevation, in degrees."""
-    azimuth, elevation = np.radians(samples["x_dva"].astype(float)), np.radians(samples["y_dva"].astype(float))
-    return np.degrees(np.arccos(np.clip(np.cos(azimuth) * np.cos(elevation), -1.0, 1.0)))
+def _distance_dva(samples: np.ndarray, x_dva: float | np.ndarray = 0.0, y_dva: float | np.ndarray = 0.0) -> np.ndarray:
+    """Angle between gaze and the direction of the mark (the screen's centre by default), from azimuth and elevation
+    of both, in degrees (haversine)."""
+    x, y = np.radians(samples["x_dva"].astype(float)), np.radians(samples["y_dva"].astype(float))
+    mark_x, mark_y = np.radians(x_dva), np.radians(y_dva)
+    half = np.sin((y - mark_y) / 2) ** 2 + np.cos(y) * np.cos(mark_y) * np.sin((x - mark_x) / 2) ** 2
+    return np.degrees(2 * np.arcsin(np.sqrt(np.clip(half, 0.0, 1.0))))
+
+
+def target_paths(session: Session) -> dict[int, list[np.ndarray]]:
+    """trial -> the moving fixation target's place in each frame of each panel ((frames,) TARGET_DTYPE, in the order of
+    the flips' ``source``). Raises InputError where an event's bytes are not those of its frames."""
+    found = {}
+    for event in read_events(session):
+        if (event["device"], event["kind"]) != ("target", "path"):
+            continue
+        counts = [int(panel["frames"]) for panel in event["payload"]["panels"]]
+        raw = event["raw"] or b""
+        if len(raw) != sum(counts) * TARGET_DTYPE.itemsize:
+            wanted = f"{sum(counts) * TARGET_DTYPE.itemsize} bytes"
+            raise InputError(problem(f"{session.path}: events", "target path", f"{len(raw)} bytes", wanted))
+        rows = np.frombuffer(raw, TARGET_DTYPE)
+        found[int(event["payload"]["trial"])] = np.split(rows, np.cumsum(counts)[:-1])
+    return found
+
+
+def target_distance_dva(samples: np.ndarray, flips: np.ndarray, paths: Sequence[np.ndarray]) -> np.ndarray:
+    """Angle between each gaze sample and the target that was on the screen at its time, in degrees.
+
+    ``samples`` (N,) GAZE_DTYPE; ``flips`` of the trial, in order; ``paths`` as `target_paths`. Of several panels shown
+    at once, the nearest target counts. (N,), nan where no target was on the screen.
+    """
+    at = np.searchsorted(flips["shown_ns"], samples["mapped_ns"], side="right") - 1
+    nearest = np.full(len(samples), np.nan)
+    for column, path in enumerate(paths):
+        frame = flips["source"][np.maximum(at, 0), column]
+        there = (at >= 0) & (frame >= 0) & (frame < len(path))
+        mark = path[np.where(there, frame, 0)] if len(path) else np.zeros(len(samples), TARGET_DTYPE)
+        angle = _distance_dva(samples, mark["x_dva"].astype(float), mark["y_dva"].astype(float))
+        nearest = np.fmin(nearest, np.where(there, angle, np.nan))
+    return nearest
 
 
 def _rms_step_dva(samples: np.ndarray) -> float:
@@ -102,12 +143,18 @@ def gaze_report(
     for session in sessions:
         usable = set(table.loc[(table["participant"] == session.participant) & (table["status"] == "ok"), "trial"])
         per_device: dict[str, list[tuple[np.ndarray, np.ndarray, float]]] = {}
+        paths = target_paths(session)
+        flips = read_flips(session) if paths else {}
         for device, row, mode, samples in _in_trials(session):
             if row.trial not in usable or not len(samples):
                 continue
             valid = samples[samples["valid"] > 0]
-            central = mode in CENTRAL_FIXATION
-            distance = _distance_dva(valid) if central else np.empty(0)
+            distance = np.empty(0)
+            if mode in CENTRAL_FIXATION:
+                distance = _distance_dva(valid)
+            elif row.trial in paths and row.trial in flips:
+                distance = target_distance_dva(valid, flips[row.trial], paths[row.trial])
+                distance = distance[np.isfinite(distance)]
             error = float(np.median(distance)) if distance.size else float("nan")
             share = len(valid) / len(samples)
             trials.append((session.participant, row.trial, row.condition, mode, len(samples), share, error))

@@ -1,4 +1,4 @@
-"""Session files to tables: one row a trial, and the streams (refreshes, gaze) beside it.
+"""Session files to tables: one row a trial (the streams beside it: `analysis.streams`).
 
 The contract is `protocols.records`. Nothing here decides what is left out: `analysis.exclusions` does, and its verdict
 stands in the columns ``excluded`` and ``reason``.
@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from protocols.records import FLIP_DTYPE, GAZE_DTYPE, SCHEMA_VERSION, has_table
+from protocols.records import SCHEMA_VERSION, has_table
 from stimuli.errors import InputError, problem
 
 TRIAL_COLUMNS = [
@@ -64,7 +64,7 @@ _FACTORS_THAT_WIN = ("scene", "technique", "condition")  # a design's own level 
 class Session:
     """One session file. ``header``: its key-value table; ``trials``: one row a presentation with the answers beside it.
 
-    Streams are read when asked for (`read_flips`, `read_gaze`), since they are large.
+    Streams are read when asked for (`analysis.streams`), since they are large.
     """
 
     path: Path
@@ -120,7 +120,7 @@ def group_text(header: Mapping[str, Any]) -> str | None:
     return str(group) if group else None
 
 
-def _connect(path: Path) -> sqlite3.Connection:
+def connect(path: Path) -> sqlite3.Connection:
     """A read-only connection; ``immutable`` where the folder is read-only too and no journal is pending."""
     address = path.resolve().as_uri()
     pending = path.with_name(path.name + "-wal")
@@ -149,12 +149,12 @@ def read_session(path: str | Path) -> Session:
     if not path.is_file():
         raise InputError(problem(path, "no such file", "nothing", "a session file"))
     try:
-        connection = _connect(path)
+        connection = connect(path)
         try:
             header = _read_header(connection, path)
-            trials = _rows(connection, "trials")
-            responses = _rows(connection, "responses")
-            clips = {row["clip"]: _clip(row) for row in _rows(connection, "clips")}
+            trials = read_rows(connection, "trials")
+            responses = read_rows(connection, "responses")
+            clips = {row["clip"]: _clip(row) for row in read_rows(connection, "clips")}
         finally:
             connection.close()
     except sqlite3.DatabaseError as error:
@@ -162,7 +162,8 @@ def read_session(path: str | Path) -> Session:
     return Session(path, header, _trial_table(path, header, trials, responses), clips)
 
 
-def _rows(connection: sqlite3.Connection, table: str) -> list[dict[str, Any]]:
+def read_rows(connection: sqlite3.Connection, table: str) -> list[dict[str, Any]]:
+    """The rows of a table of the file, in the order of its first column; none where the file has no such table."""
     if not has_table(connection, table):
         return []
     cursor = connection.execute(f"SELECT * FROM {table} ORDER BY 1")
@@ -315,49 +316,3 @@ def load_sessions(paths: Iterable[str | Path] | str | Path) -> pd.DataFrame:
 
     sessions = read_sessions([paths] if isinstance(paths, str | Path) else paths)
     return apply_exclusions(combine(sessions), rules_of(sessions), sessions).table
-
-
-def read_flips(session: Session) -> dict[int, np.ndarray]:
-    """trial -> its refreshes (FLIP_DTYPE, in order); trials without a record are absent."""
-    return _chunks(session.path, "flips", "trial", FLIP_DTYPE)
-
-
-def read_gaze(session: Session) -> dict[str, np.ndarray]:
-    """device -> its gaze samples (GAZE_DTYPE, in order of arrival); empty where none were recorded."""
-    return _chunks(session.path, "gaze", "device", GAZE_DTYPE)
-
-
-def _chunks(path: Path, table: str, key: str, dtype: np.dtype) -> dict[Any, np.ndarray]:
-    connection = _connect(path)
-    try:
-        if not has_table(connection, table):
-            return {}
-        parts: dict[Any, list[bytes]] = {}
-        for name, data in connection.execute(f"SELECT {key}, data FROM {table} ORDER BY {key}, chunk"):
-            parts.setdefault(name, []).append(data)
-    finally:
-        connection.close()
-    for name, blobs in parts.items():
-        if any(len(blob) % dtype.itemsize for blob in blobs):
-            wanted = f"a multiple of {dtype.itemsize} bytes"
-            raise InputError(problem(f"{path}: {table} of {name}", "chunk", f"{len(blobs[0])} bytes", wanted))
-    return {name: np.frombuffer(b"".join(blobs), dtype=dtype) for name, blobs in parts.items()}
-
-
-def read_events(session: Session) -> list[dict[str, Any]]:
-    """Device events in order of time: t_ns, device, kind, payload (parsed)."""
-    connection = _connect(session.path)
-    try:
-        rows = _rows(connection, "events")
-    finally:
-        connection.close()
-    return [{**row, "payload": json.loads(row["payload"])} for row in rows]
-
-
-def read_self_answers(session: Session) -> dict[str, str]:
-    """What the participant said about themselves (acuity, colour vision ...): name -> value."""
-    connection = _connect(session.path)
-    try:
-        return {row["name"]: row["value"] for row in _rows(connection, "answers_about_self")}
-    finally:
-        connection.close()

@@ -42,6 +42,7 @@ from studyapp.session_header import session_header, sha256_text
 from studyapp.session_log import DurableLog, LogFailed, SessionLog
 from studyapp.simulated_respondent import SimulatedRespondent
 from studyapp.stored_sources import StoredSources
+from studyapp.target_path import TargetPaths
 from studyapp.trial import Person, Respondent, Rules, TrialDone, TrialRunner
 
 STREAM_RING_FLIP_S = 600.0
@@ -114,7 +115,7 @@ def run_session(request: RunRequest) -> RunDone:
         # Writer, readers and emulators are started from here on, and are to stay ordinary processes.
         children_stay_normal()
         used += _permitted(request, study, certificate)
-        geometry = _screen(study, lab)
+        geometry = _screen(study, lab, display)
         devices = stack.enter_context(
             emulated_devices(display, geometry, study.seed)
             if request.simulated
@@ -185,6 +186,10 @@ def _run(request: RunRequest, ready: Prepared) -> RunDone:
         if request.pids is not None:
             request.pids.write_text(json.dumps({**devices.pids(), "writer": log.pid}))
         counted = {"answers": 0}
+        targets = TargetPaths(study, library_path(request.protocol).parent, _screen(study, ready.lab, ready.display))
+        if isinstance(ready.sources, StoredSources):
+            for trial in trials:
+                targets.prepare(trial)
 
         def on_trial(done: TrialDone) -> None:
             counted["answers"] += len(done.responses)
@@ -195,6 +200,8 @@ def _run(request: RunRequest, ready: Prepared) -> RunDone:
             if isinstance(ready.sources, StoredSources) and trial.panels:
                 for payload, frames in ready.sources.live_logs(number):
                     log.event("live", "frames", payload, frames)
+                if (path := targets.record(trial, number)) is not None:
+                    log.event("target", "path", path.payload, path.raw)
             if runner.fixation is not None:
                 log.event("eyes", "fixation", json.dumps(fixation_record(study.gaze, trial, number, runner)))
 
@@ -319,9 +326,9 @@ def _sources(request: RunRequest, study: Study, kind: str) -> tuple[Sources, Cal
     return stored, stored.rows
 
 
-def _screen(study: Study, lab: Lab) -> ScreenGeometry:
+def _screen(study: Study, lab: Lab, display: Display) -> ScreenGeometry:
     view = _view_geometry(study, lab)
-    return ScreenGeometry(view.width_m, view.height_m, view.distance_m, study.display.size_px)
+    return ScreenGeometry(view.width_m, view.height_m, view.distance_m, display.size_px)
 
 
 def _view_geometry(study: Study, lab: Lab) -> ViewGeometry:
