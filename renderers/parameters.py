@@ -99,6 +99,10 @@ class Foveated(Parameters):
     display luma, ``eps_edge`` on max(n.d, 0): what is marked for resampling. ``n_fp`` taps in a pixel's footprint,
     ``footprint_sigma`` of a half of it; ``post_filter``: taps for the light of marked pixels (0: off).
     ``light_samples``: as for `Vanilla` (the paper's 8 is no square: 9), 1 by default so that 'full' is vanilla.
+
+    The paper names no thresholds. Measured at 1182x1464 over the study's four scenes, 14 frames, medium: ``eps_lum`` 0.1
+    (SMAA's) traces 31 % of the pixels, 0.35 the 21 % of the paper, at an RMSE (8 bit codes) of 12 against 6 in
+    tunnel_maps and the same in the others; a sigma of half the half footprint errs less (9.8) than 1 (11.9) or 0.25 (11.6).
     """
 
     configuration: Literal["small", "medium", "large", "full"] = "medium"
@@ -111,10 +115,10 @@ class Foveated(Parameters):
     light_k_max: float = Field(0.8, gt=0, le=1)
     t_max: int | None = Field(None, ge=1, le=100_000)
     eps_depth: float = Field(0.05, gt=0)
-    eps_lum: float = Field(0.1, gt=0)
+    eps_lum: float = Field(0.35, gt=0)
     eps_edge: float = Field(0.2, ge=0, le=1)
     n_fp: int = Field(4, ge=1, le=16)
-    footprint_sigma: float = Field(1.0, ge=0, le=4)
+    footprint_sigma: float = Field(0.5, ge=0, le=4)
     post_filter: int = Field(8, ge=0, le=64)
     support_divisor: float = Field(4.6, ge=1, le=64)
     reproject_movers: bool = True
@@ -146,7 +150,7 @@ class AdaptiveFrameless(Parameters):
     ``m`` is the threshold of undersampling; ``i`` the gain; ``reprojected`` crosshairs a visit; a chunk has
     ``chunk_crosshairs`` and then ``tiling_moves`` splits or merges; at least ``least_tiles``, and tiles of
     ``least_mean_tile_px`` on average and ``least_tile_px`` each; ``decay_per_s`` ages samples. ``temporal_gradient``:
-    'fixed' compares samples at one place of the picture, 'followed' at one point of the scene.
+    'fixed' compares samples at one place of the picture (the paper's), 'followed' at one point of the scene.
     Reconstructor: ``samples_kept_per_px`` newest samples; ``reproject`` them, along with movers (``reproject_movers``);
     ``filter_volume`` in volumes of a sample; gradients below ``least_spatial_gradient`` (display luma a pixel) and
     ``least_temporal_gradient`` (a second) count as these; ``filter_tail`` weighs samples out of reach;
@@ -167,14 +171,14 @@ class AdaptiveFrameless(Parameters):
     least_mean_tile_px: int = Field(16, ge=1)
     least_tile_px: int = Field(4, ge=1)
     decay_per_s: float = Field(3.47, ge=0, le=100)
-    temporal_gradient: Literal["fixed", "followed"] = "fixed"
+    temporal_gradient: Literal["fixed", "followed"] = "followed"
     samples_kept_per_px: float = Field(6.1, gt=0, le=256)
     reproject: bool = True
     reproject_movers: bool = True
     filter_volume: float = Field(4.0, gt=0)
     least_spatial_gradient: float = Field(1 / 255, gt=0)
-    least_temporal_gradient: float = Field(0.05, gt=0)
-    filter_tail: float = Field(1e-4, ge=0, le=1)
+    least_temporal_gradient: float = Field(0.01, gt=0)
+    filter_tail: float = Field(1e-2, ge=0, le=1)
     depth_tolerance: float = Field(0.0, ge=0, le=10)
     least_splat_px: float = Field(2.0, ge=1, le=32)
 
