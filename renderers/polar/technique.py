@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import OrderedDict
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -27,10 +28,12 @@ from renderers.polar.resolve import (
     PolarState,
     mark,
     panel_state,
+    pixel_direction,
     polar_state,
     resolve,
     texel_direction,
 )
+from renderers.polar.shadow_catcher import ShadowCatcher, composited
 from renderers.poses import pose_at
 from renderers.stopwatch import Stopwatch
 from renderers.technique import Frame, LazyCounts, Measure, View
@@ -62,16 +65,27 @@ class Polar:
     ) -> None:
         if min(size_px) < 1:
             raise InputError(problem("size_px", "picture size", f"{size_px[0]}x{size_px[1]}", "at least 1x1"))
-        self.engine, self.size_px, self.params = engine, size_px, params
+        self.engine = engine.with_probes(params.probe_settings, seed) if params.probes else engine
+        self.size_px, self.params = size_px, params
+        own_probes = None if self.engine.indirect is None else self.engine.indirect.settings
+        self._catcher = ShadowCatcher(self.engine, own_probes, seed) if params.mixed_reality else None
         self._watch = Stopwatch(measure, dr.sync_thread)
         self._trace_kernel, self._mark_kernel = frozen(self._trace), frozen(mark)
         self._resolve_kernel, self._tile_kernel = frozen(resolve), frozen(self._tiles)
+        self._capture_kernel = frozen(self._capture)
         self._plans: OrderedDict[tuple, _Plan] = OrderedDict()
         self.reset(seed)
 
     def reset(self, seed: int) -> None:
         """Start anew; the same views then give the same frames."""
-        self._seed = seed
+        grids = [e.indirect for e in self._engines if e.indirect is not None]
+        for grid in grids:
+            grid.seed = seed
+            grid.reset()
+
+    @property
+    def _engines(self) -> tuple[Engine, ...]:
+        return (self.engine,) if self._catcher is None else (self.engine, self._catcher.engine)
 
     # Plans ----------------------------------------------------------------------------------------------------------
 
@@ -100,7 +114,7 @@ class Polar:
         for panel, state in zip(eye.panels, panels, strict=True):
             marks = self._mark_kernel(_pixels(panel), polar, state, _lanes(panel), marks)
         texels = dr.compress(marks == 1)
-        plan = _Plan(polar, panels, size, texels, opaque_float([eye.offset_m * self.engine.space.scale, *_rays(eye)]))
+        plan = _Plan(polar, panels, size, texels, opaque_float([eye.offset_m, _least_angle(eye)]))
         self._plans[key] = plan
         if len(self._plans) > _PLANS:
             self._plans.popitem(last=False)
@@ -109,14 +123,27 @@ class Polar:
     # Kernels --------------------------------------------------------------------------------------------------------
 
     def _trace(
-        self, samples: int, state: EngineState, polar: PolarState, panel: PanelState, eye: Any, texel: Any, buffer: Any
+        self, samples: int, state: EngineState, room: EngineState | None, captured: Any, polar: PolarState,
+        panel: PanelState, eye: Any, texel: Any, buffer: Any,
     ) -> tuple[Any, ...]:  # fmt: skip
         """Trace and shade the texels in use."""
-        ray = _ray(state, polar, panel, eye, texel)
-        sample = self.engine.sample(state, ray, light_samples=samples)
+        d, solid_angle = texel_direction(polar, texel)
+        sample = self.engine.sample(state, _ray(state, panel, eye, d, solid_angle), light_samples=samples)
         c = sample.color
-        dr.scatter(buffer, mi.Vector4f(c.x, c.y, c.z, 1), texel)
+        value = mi.Vector4f(c.x, c.y, c.z, 1)
+        if self._catcher is not None and room is not None:
+            value = self._catcher.covered(sample, room, _ray(room, panel, eye, d, solid_angle), captured, samples)
+        dr.scatter(buffer, value, texel)
         return buffer, sample.rays, sample.clamped
+
+    def _capture(self, room: EngineState, panel: PanelState, eye: Any, pixel: Any, picture: Any) -> Any:
+        """The camera's picture of the room in one panel (not the technique's work: a headset's camera delivers it)."""
+        y = pixel // panel.width
+        d = pixel_direction(panel, mi.Float(pixel - y * panel.width) + 0.5, mi.Float(y) + 0.5)
+        assert self._catcher is not None
+        c = self._catcher.camera_picture(room, _ray(room, panel, eye, d, mi.Float(0)))
+        dr.scatter(picture, mi.Vector4f(c.x, c.y, c.z, 1), pixel)
+        return picture
 
     def _tiles(self, polar: PolarState, texel: Any, buffer: Any) -> Any:
         """Colours of 15 degree tiles of eccentricity and angle, and the eccentricity (degrees) as fourth channel."""
@@ -136,47 +163,62 @@ class Polar:
         """Flat H * W * 4 of every panel."""
         found = {}
         for panel, state in zip(eye.panels, plan.panels, strict=True):
-            width, height = panel.size_px
-            picture = dr.zeros(mi.Float, width * height * 4)
-            dr.make_opaque(picture)
-            picture = self._resolve_kernel(width * height, plan.polar, state, _lanes(panel), buffer, picture)
-            found[panel.name] = picture
+            found[panel.name] = self._resolve_kernel(
+                _pixels(panel), plan.polar, state, _lanes(panel), buffer, _zeros(_pixels(panel) * 4)
+            )
         return found
 
     def render(self, view: View) -> Frame:
         """The pictures at t1."""
-        counts: list[Any] = []
+        counts: list[Mapping[str, Any]] = []
         clamped, primary = 0, 0
         pictures: dict[str, Any] = {}
+        cameras: dict[str, Any] = {}
         eyes = eyes_of(view, self.size_px)
         samples = light_samples(self.params, pose_delta(view, self.engine.space.radius))
         with self._watch.frame():
             with self._watch.stage("state"):
-                state = self.engine.state(view, self.size_px)
+                state, *rest = (engine.state(view, self.size_px) for engine in self._engines)
+                room = rest[0] if rest else None
+                counts += [e.indirect.rays for e in self._engines if e.indirect is not None]
+            captured = None if self._catcher is None else self._catcher.captured
             for eye in eyes:
                 with self._watch.stage("plan"):
                     plan = self._plan(view, eye)
                 with self._watch.stage("trace"):
                     lanes = len(plan.texels)
-                    buffer = _buffer(plan)
+                    buffer = _zeros(plan.size[0] * plan.size[1] * 4)
                     buffer, rays, wrong = self._trace_kernel(
-                        lanes, samples, state, plan.polar, plan.panels[0], plan.eye, plan.texels, buffer
+                        lanes, samples, state, room, captured, plan.polar, plan.panels[0], plan.eye, plan.texels, buffer
                     )
                     counts.append(rays)
                     primary += lanes
                     clamped += int(dr.sum(wrong)[0])
                 with self._watch.stage("resolve"):
                     pictures |= self._resolved(plan, eye, buffer)
-        sizes = {panel.name: panel.size_px for eye in eyes for panel in eye.panels}
-        arrays = {name: p.numpy().reshape(sizes[name][1], sizes[name][0], 4) for name, p in pictures.items()}
-        first = next(iter(arrays.values()))
+                if room is not None:
+                    with self._watch.stage("capture"):
+                        for panel, where in zip(eye.panels, plan.panels, strict=True):
+                            n = _pixels(panel)
+                            cameras[panel.name] = self._capture_kernel(
+                                n, room, where, plan.eye, _lanes(panel), _zeros(n * 4)
+                            )
+        panels = [panel for eye in eyes for panel in eye.panels]
+        over = {p.name: _picture(pictures[p.name], p) for p in panels}
+        color, channels, alpha = {name: a[..., :3] for name, a in over.items()}, {}, None
+        if self._catcher is not None:
+            color = {p.name: composited(over[p.name], _picture(cameras[p.name], p)[..., :3]) for p in panels}
+            channels = {f"{name}.alpha": a[..., 3] for name, a in over.items() if name != MAIN}
+            alpha = over[panels[0].name][..., 3]
         return Frame(
-            color=first[..., :3],
+            color=color[panels[0].name],
             rays=_counts(primary, counts),
             seconds=dict(self._watch.seconds),
             time_s=float(view.index * (view.t1 - view.t0)),
             clamped=clamped,
-            viewports={name: a[..., :3] for name, a in arrays.items() if name != MAIN},
+            alpha=alpha,
+            channels=channels,
+            viewports={name: a for name, a in color.items() if name != MAIN},
         )
 
     def show(self, view: View) -> dict[str, np.ndarray]:
@@ -185,10 +227,11 @@ class Polar:
         found = {}
         for eye in eyes_of(view, self.size_px):
             plan = self._plan(view, eye)
-            buffer = self._tile_kernel(len(plan.texels), plan.polar, plan.texels, _buffer(plan))
+            empty = _zeros(plan.size[0] * plan.size[1] * 4)
+            buffer = self._tile_kernel(len(plan.texels), plan.polar, plan.texels, empty)
+            pictures = self._resolved(plan, eye, buffer)
             for panel in eye.panels:
-                width, height = panel.size_px
-                picture = self._resolved(plan, eye, buffer)[panel.name].numpy().reshape(height, width, 4)
+                picture = _picture(pictures[panel.name], panel)
                 found[panel.name], found[f"{panel.name}.eccentricity"] = picture[..., :3], picture[..., 3]
         return found
 
@@ -203,25 +246,29 @@ def _lanes(panel: Panel) -> Any:
     return lanes
 
 
-def _buffer(plan: _Plan) -> Any:
-    buffer = dr.zeros(mi.Float, plan.size[0] * plan.size[1] * 4)
-    dr.make_opaque(buffer)
-    return buffer
+def _zeros(size: int) -> Any:
+    zeros = dr.zeros(mi.Float, size)
+    dr.make_opaque(zeros)
+    return zeros
 
 
-def _rays(eye: Eye) -> tuple[float, ...]:
+def _picture(values: Any, panel: Panel) -> np.ndarray:
+    """(H, W, 4) of a panel's flat picture."""
+    return values.numpy().reshape(panel.size_px[1], panel.size_px[0], 4)
+
+
+def _least_angle(eye: Eye) -> float:
     """The smallest angle of a pixel of the eye's panels, radians."""
-    return (min(math.radians(1) / panel.ppd for panel in eye.panels),)
+    return min(math.radians(1) / panel.ppd for panel in eye.panels)
 
 
-def _ray(state: EngineState, polar: PolarState, panel: PanelState, eye: Any, texel: Any) -> Ray:
-    """The camera ray of a texel at t1; its cone is as wide as the texel, or a pixel where texels are smaller."""
-    d, solid_angle = texel_direction(polar, texel)
+def _ray(state: EngineState, panel: PanelState, eye: Any, d: Any, solid_angle: Any) -> Ray:
+    """The camera ray of an eye direction at t1; its cone is as wide as the texel, but not narrower than a pixel."""
     sx, sy, ox, oy = (dr.gather(mi.Float, panel.lens, mi.UInt32(k)) for k in range(4))
     seen = mi.Vector3f(sx * d.x - ox * d.z, sy * d.y - oy * d.z, d.z)
     length = dr.norm(seen)
     pose = pose_at(state.camera.poses, mi.UInt32(0), 0.0)
-    offset = dr.gather(mi.Float, eye, mi.UInt32(0))
+    offset = dr.gather(mi.Float, eye, mi.UInt32(0)) * dr.rcp(state.to_world)
     pixel = dr.gather(mi.Float, eye, mi.UInt32(1))
     origin = mi.Point3f(*(dr.fma(row.x, offset, row.w) for row in pose.rows))
     cosine = dr.maximum(-seen.z / length, 0.05)
@@ -230,10 +277,14 @@ def _ray(state: EngineState, polar: PolarState, panel: PanelState, eye: Any, tex
     return Ray(origin, dr.normalize(pose.vector(seen)), mi.Float(0), spread)
 
 
-def _counts(primary: int, counts: list[dict[str, Any]]) -> LazyCounts:
-    """Rays of all eyes by kind, summed when they are read."""
+def _counts(primary: int, counts: list[Mapping[str, Any]]) -> LazyCounts:
+    """Rays of all eyes and of the probes by kind, summed when they are read."""
+    kinds = ("shadow", "ambient_occlusion", "reflection", "transmission", "probe")
+
+    def number(value: Any) -> int:
+        return int(value) if isinstance(value, int) else int(np.asarray(value.numpy(), np.int64).sum())
 
     def total(kind: str) -> Any:
-        return lambda: sum(int(np.asarray(rays[kind].numpy(), np.int64).sum()) for rays in counts)
+        return lambda: sum(number(rays[kind]) for rays in counts if rays.get(kind) is not None)
 
-    return LazyCounts({"primary": primary, **{kind: total(kind) for kind in (counts[0] if counts else {})}})
+    return LazyCounts({"primary": primary, **{kind: total(kind) for kind in kinds}})
