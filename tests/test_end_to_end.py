@@ -202,13 +202,13 @@ def test_the_demo_protocol_renders_and_runs_with_every_technique(tmp_path) -> No
     text = protocol_text()
     for long, short in (
         (
-            "size_px: [160, 120], duration_s: 0.5, warm_up_s: 0.25",
+            "size_px: [160, 120], duration_s: 0.4, warm_up_s: 0.25",
             "size_px: [32, 24], duration_s: 0.05, warm_up_s: 0.05",
         ),
         ("{scene: toy_car, start_s: 1}", "{scene: tunnel_geom, start_s: 2}"),
         ("{scene: bar, start_s: 1}", "{scene: tunnel_geom, start_s: 3}"),
-        ("{median_s: 0.35, sd_log: 0.3, shift_s: 0.15}", "{median_s: 0.05, sd_log: 0.1, shift_s: 0.02}"),
-        ("iti_s: 0.2", "iti_s: 0.0"),
+        ("{median_s: 0.25, sd_log: 0.3, shift_s: 0.1}", "{median_s: 0.05, sd_log: 0.1, shift_s: 0.02}"),
+        ("iti_s: 0.1", "iti_s: 0.0"),
         ("luminance_limit: 0.25", "luminance_limit: 1.0"),
     ):
         assert long in text
