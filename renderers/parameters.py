@@ -178,7 +178,7 @@ class AdaptiveFrameless(Parameters):
     filter_volume: float = Field(4.0, gt=0)
     least_spatial_gradient: float = Field(1 / 255, gt=0)
     least_temporal_gradient: float = Field(0.01, gt=0)
-    filter_tail: float = Field(1e-2, ge=0, le=1)
+    filter_tail: float = Field(5e-2, ge=0, le=1)
     depth_tolerance: float = Field(0.0, ge=0, le=10)
     least_splat_px: float = Field(2.0, ge=1, le=32)
 

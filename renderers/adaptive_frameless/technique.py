@@ -14,6 +14,7 @@ import numpy as np
 from renderers.adaptive_frameless import buffers as c
 from renderers.adaptive_frameless.budget import SampleClock
 from renderers.adaptive_frameless.buffers import Settings
+from renderers.adaptive_frameless.compiled import drop_stale_code
 from renderers.adaptive_frameless.rays import CLAMPED, IN, OUT, FramelessRays, counted, host_poses
 from renderers.adaptive_frameless.reconstructor import Filter, Reconstructor
 from renderers.adaptive_frameless.sampler import SAMPLES_PER_VISIT, Poses, Sampler
@@ -54,6 +55,7 @@ class AdaptiveFrameless:
                 problem("adaptive_frameless", "kappa + lambda_", params.kappa + params.lambda_, "at most 1")
             )
         self.engine, self.size_px, self.params = engine, size_px, params
+        drop_stale_code()
         self._watch = Stopwatch(measure, dr.sync_thread)
         self._rays = FramelessRays(engine, follow_movers=params.reproject_movers)
         self.reset(seed)

@@ -39,8 +39,9 @@ def _add_to(b: Buffers, s: Settings, node: int, entry: int, sign: float, everywh
     f, e = b.node_f[node], b.entry_f[entry]
     luma, squares = 0.0, 0.0
     for k in range(5):
-        luma += e[c.LUMA + k]
-        squares += float(e[c.LUMA + k]) * float(e[c.LUMA + k])
+        value = np.float64(e[c.LUMA + k])
+        luma += value
+        squares += value * value
     f[c.W] += 5.0 * weight
     f[c.WL] += weight * luma
     f[c.WLL] += weight * squares
