@@ -25,6 +25,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.add_argument("protocol", help="a protocol file, or the name of a shipped one")
     parser.add_argument("--json", action="store_true", help="the plan as JSON")
+    parser.add_argument("--store", default=None, metavar="DIR",
+                        help="clips whose luminance is compared (default: $STUDYAPP_STORE, else .clips beside the "
+                        "protocol); those not made yet are not waited for")  # fmt: skip
 
 
 def run(args: argparse.Namespace) -> int:
@@ -39,6 +42,8 @@ def run(args: argparse.Namespace) -> int:
             problems.append(problem(f"scene {name}", "source", repr(scene.scene), wanted))
         elif found is None:
             notes.append(f"scene {name}: {scene.scene} is not there, {scene.instead} stands in")
+    if not problems:
+        problems += _luminance(study, args)
     if problems:
         raise InputError(*problems)
     summary = summarise(study)
@@ -49,6 +54,15 @@ def run(args: argparse.Namespace) -> int:
     else:
         print("\n".join([*_lines(summary), *(f"note: {note}" for note in [*summary.notes, *notes])]))
     return 0
+
+
+def _luminance(study: Study, args: argparse.Namespace) -> list[str]:
+    from stimuli.clip import ClipStore
+    from studyapp.clips import store_directory
+    from studyapp.stored_luminance import stored_luminance_problems
+
+    root = store_directory(args.protocol, args.store)
+    return stored_luminance_problems(study, ClipStore(root)) if root.is_dir() else []
 
 
 def find_scene(source: str, beside: Path) -> Path | str | None:

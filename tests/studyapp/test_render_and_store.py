@@ -103,6 +103,20 @@ def test_clips_too_large_for_memory_play_from_a_disk_that_is_twice_as_fast(rende
         sources_for(trial, store)
 
 
+def test_check_compares_the_luminance_of_what_was_made(copied, capsys):
+    assert main(["check", str(copied)]) == 0
+    strict = copied.with_name("strict.yaml")
+    strict.write_text(PROTOCOL + "timing: {luminance_limit: 0}\n")
+    assert main(["check", str(strict)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "block compare, scene tunnel: luminance of" in line
+    # Clips of other pictures are no part of it, nor is a store that is not there.
+    strict.write_text(strict.read_text().replace("[16, 12]", "[16, 14]"))
+    assert main(["check", str(strict)]) == 0
+    assert main(["check", str(copied), "--store", str(copied.parent / "nowhere")]) == 0
+    assert not (copied.parent / "nowhere").exists()
+
+
 def test_read_rate_is_measured(tmp_path):
     (tmp_path / "file").write_bytes(bytes(1 << 20))
     assert 1e6 < measured_read_rate(tmp_path / "file", 1 << 28) < 1e12
