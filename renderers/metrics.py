@@ -103,9 +103,9 @@ def tracked_mean(pictures: np.ndarray, motion: np.ndarray) -> np.ndarray:
 
 
 def sequence_error(
-    test: Sequence[np.ndarray],
-    reference: Sequence[np.ndarray],
-    motion: Sequence[np.ndarray],
+    test: Sequence[np.ndarray] | np.ndarray,
+    reference: Sequence[np.ndarray] | np.ndarray,
+    motion: Sequence[np.ndarray] | np.ndarray,
     ppd: float,
     flip_windows: int = 4,
 ) -> SequenceError:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 
@@ -37,10 +39,20 @@ class Requirements:
     ambient: bool
     lights: tuple[str, ...]
 
+    @classmethod
+    def all(cls, own: Requirements) -> Requirements:
+        """Every feature, with the bodies and lights of ``own``: what a kernel for any scene would contain."""
+        every: dict[str, Any] = dict.fromkeys(FEATURES, True)
+        return replace(own, **every)
+
     @property
     def textures(self) -> bool:
         """Whether texture coordinates are needed at all."""
         return self.base_texture or self.other_textures
+
+
+FEATURES = tuple(f.name for f in fields(Requirements) if f.type == "bool" and f.name not in ("static", "glass"))
+"""What can be added to a scene's kernels without adding geometry or lights to the scene."""
 
 
 def base_rgba(material: Material) -> np.ndarray:
@@ -90,37 +102,86 @@ def all_parts(scene: Scene) -> list[Part]:
     return [*scene.static, *(part for mover in scene.movers for part in mover.parts)]
 
 
+def _emits(m: Material) -> bool:
+    return m.pbr.emissiveFactor is not None and max(np.asarray(m.pbr.emissiveFactor, float)) > 0
+
+
+def _other_texture(m: Material) -> bool:
+    more = m.pbr.metallicRoughnessTexture is not None or m.pbr.emissiveTexture is not None
+    return m.phong is None and more and not m.unlit
+
+
+_OF_MATERIALS: Mapping[str, Callable[[Material], bool]] = {
+    "phong": lambda m: m.phong is not None,
+    "metallic": lambda m: m.phong is None and not m.unlit,
+    "specular": lambda m: not m.unlit and (m.phong is None or max(m.phong.specular) > 0),
+    "emissive": _emits,
+    "unlit": lambda m: m.unlit,
+    "mirrors": mirror_possible,
+    "transparency": is_see_through,
+    "cutouts": is_cutout,
+    "base_texture": lambda m: texture_image(m.pbr.baseColorTexture) is not None,
+    "other_textures": _other_texture,
+}
+_OF_PARTS: Mapping[str, Callable[[Part], bool]] = {
+    "normals": lambda part: part.primitive.normals is not None,
+    "colors": lambda part: part.primitive.color_0 is not None,
+}
+_MEANING: Mapping[str, str] = {
+    "static": "triangles that stand still and cast shadows",
+    "glass": "still triangles that shadow rays never ask",
+    "movers": "rigid bodies with a pose at each ray's time",
+    "appearing": "movers that are there for a part of the time",
+    "normals": "interpolated shading normals",
+    "colors": "vertex colours",
+    "phong": "Phong materials",
+    "metallic": "metallic-roughness materials",
+    "specular": "highlights",
+    "emissive": "own light of surfaces",
+    "unlit": "surfaces that show their colour as it is",
+    "mirrors": "the reflection loop",
+    "transparency": "the straight-on rays through surfaces, in the same loop",
+    "cutouts": "the loop past cut-out texels",
+    "base_texture": "the base colour's texture fetch",
+    "other_textures": "fetches of roughness and emission",
+    "ambient": "the ambient term",
+    "lights": "a loop a kind of light",
+}
+
+
+@dataclass(frozen=True)
+class Reason:
+    """One feature of a scene's kernels: whether it is ``required``, what it means, and the parts, materials, movers or
+    lights that need it, by name."""
+
+    feature: str
+    required: bool
+    meaning: str
+    because: tuple[str, ...]
+
+
+def reasons(scene: Scene, sphere_sampled: bool = False) -> tuple[Reason, ...]:
+    """Every feature with what requires it, in the order of `Requirements`."""
+    parts = all_parts(scene)
+    materials = list({id(part.material): part.material for part in parts}.values())
+    hidden = [is_see_through(part.material) or is_cutout(part.material) for part in scene.static]
+    found: dict[str, list[str]] = {
+        "static": [f"mesh {p.name}" for p, h in zip(scene.static, hidden, strict=True) if not h],
+        "glass": [f"mesh {p.name}" for p, h in zip(scene.static, hidden, strict=True) if h],
+        "movers": [f"mover {mover.name}" for mover in scene.movers],
+        "appearing": [f"mover {mover.name}" for mover in scene.movers if np.isfinite(mover.visible_s).any()],
+        **{name: [f"mesh {p.name}" for p in parts if needs(p)] for name, needs in _OF_PARTS.items()},
+        **{name: [f"material {m.name}" for m in materials if needs(m)] for name, needs in _OF_MATERIALS.items()},
+        "ambient": [f"ambient light {scene.ambient}"] if max(scene.ambient) > 0 else [],
+        "lights": [f"{light_kind(light, sphere_sampled)} light {light.name}".strip() for light in scene.lights],
+    }
+    return tuple(
+        Reason(f.name, bool(found[f.name]), _MEANING[f.name], tuple(found[f.name])) for f in fields(Requirements)
+    )
+
+
 def requirements_of(scene: Scene, sphere_sampled: bool = False) -> Requirements:
     """What ``scene`` requires."""
-    parts = all_parts(scene)
-    materials = [part.material for part in parts]
-    hidden = [is_see_through(m) or is_cutout(m) for m in materials]
-    emissive = [
-        m.pbr.emissiveFactor is not None and max(np.asarray(m.pbr.emissiveFactor, float)) > 0 for m in materials
-    ]
-    other = [
-        m.phong is None
-        and (m.pbr.metallicRoughnessTexture is not None or m.pbr.emissiveTexture is not None)
-        and not m.unlit
-        for m in materials
-    ]
-    return Requirements(
-        static=any(not h for h in hidden[: len(scene.static)]),
-        glass=any(hidden[: len(scene.static)]),
-        movers=len(scene.movers),
-        appearing=any(np.isfinite(mover.visible_s).any() for mover in scene.movers),
-        normals=any(part.primitive.normals is not None for part in parts),
-        colors=any(part.primitive.color_0 is not None for part in parts),
-        phong=any(m.phong is not None for m in materials),
-        metallic=any(m.phong is None and not m.unlit for m in materials),
-        specular=any(not m.unlit and (m.phong is None or max(m.phong.specular) > 0) for m in materials),
-        emissive=any(emissive),
-        unlit=any(m.unlit for m in materials),
-        mirrors=any(mirror_possible(m) for m in materials),
-        transparency=any(is_see_through(m) for m in materials),
-        cutouts=any(is_cutout(m) for m in materials),
-        base_texture=any(texture_image(m.pbr.baseColorTexture) is not None for m in materials),
-        other_textures=any(other),
-        ambient=max(scene.ambient) > 0,
-        lights=tuple(sorted({light_kind(light, sphere_sampled) for light in scene.lights})),
-    )
+    required = {reason.feature: reason.required for reason in reasons(scene, sphere_sampled)}
+    kinds = tuple(sorted({light_kind(light, sphere_sampled) for light in scene.lights}))
+    return Requirements(**{**required, "movers": len(scene.movers), "lights": kinds})  # type: ignore[arg-type]

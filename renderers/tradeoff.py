@@ -20,10 +20,10 @@ from typing import Any
 import numpy as np
 
 from renderers.catalogue import CATALOGUE, TECHNIQUES, entry
+from renderers.clip_frames import scene_exposure, technique_params, view_at
 from renderers.engine import Engine
 from renderers.metrics import pixels_per_degree, sequence_error
 from renderers.motion_picture import MotionPicture
-from renderers.clip_frames import scene_exposure, technique_params, view_at
 from renderers.technique import Frame, Gaze, Measure
 from stimuli.encode import display_values, encode
 from stimuli.scene import CameraPath, Scene
@@ -128,7 +128,7 @@ def _views(camera: CameraPath, c: Conditions, rate: Fraction, first: int, count:
         yield view_at(k, rate, c.start_s, c.size_px, camera, c.gaze, None, exposure, cut=k == 0)
 
 
-def gold_standard(engine: Engine, camera: CameraPath, c: Conditions, progress: Callable[[int], None]) -> Gold:
+def gold_standard(engine: Engine, camera: CameraPath, c: Conditions, progress: Callable[[int], object]) -> Gold:
     """Render the reference's compared refreshes."""
     exposure = scene_exposure(engine, camera, c.start_s)
     params = technique_params("reference", {"spp": c.reference_spp})

@@ -51,10 +51,19 @@ def dense() -> Figures:
     return {"dense": {**saving, "live_tunnel_geom": live, "largest_live_240_hz": holding[-1] if holding else "none"}}
 
 
+def specialisation() -> Figures:
+    """The scene's own kernel of tunnel_maps against the all-features kernel, and each feature added alone."""
+    from renderers.specialisation import specialisation_figures
+    from stimuli.load import load_scene
+
+    return specialisation_figures(load_scene("tunnel_maps"))
+
+
 SECTIONS: tuple[Section, ...] = (
     Section("whitted", "Whitted ray tracing against Mitsuba's own direct light, 960x540", whitted),
     Section("dense", "temporally dense against TAA at one resolution, and live at 240 Hz", dense),
     Section("present", "work per refresh of one 512x512 streamed panel", present),
+    Section("specialisation", "kernels with only what a scene requires against all features, 640x360", specialisation),
 )
 
 

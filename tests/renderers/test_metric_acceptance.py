@@ -130,4 +130,4 @@ def test_a_planted_failure_is_ranked_worse(subject: str, planted: Callable[[Sequ
 def test_the_subjects_move_by_pixels() -> None:
     for subject in SUBJECTS:
         speed = np.linalg.norm(sequences(subject).gold.motion, axis=-1)
-        assert np.quantile(speed, 0.95) > 0.5, subject
+        assert speed.max() > 1, subject

@@ -192,8 +192,13 @@ def test_the_command_writes_table_csv_json_and_plot_and_goes_on_where_it_was(
 
 @pytest.mark.parametrize(
     ("option", "value", "words"),
-    [("--size", "24by16", "WxH"), ("--budget", "lots", "--budget"), ("--rate", "fast", "--rate"), ("--frames", "0", "tradeoff")],
-)  # fmt: skip
+    [
+        ("--size", "24by16", "WxH"),
+        ("--budget", "lots", "--budget"),
+        ("--rate", "fast", "--rate"),
+        ("--frames", "0", "tradeoff"),
+    ],
+)
 def test_wrong_options_are_one_line(option: str, value: str, words: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["tradeoff", "--technique", "vanilla", option, value]) == 2
     error = capsys.readouterr().err.strip()
