@@ -151,9 +151,10 @@ class ProbeGrid:
         self.rays = {"probe": 0, "shadow": None}
         if begins:
             self.reset()
-            for k in range(self.settings.settle_passes):
-                self.update(state, 0, 1, hysteresis=0.0 if k < 3 else 0.7)
-            if not self.settings.settle_passes:
+            passes = self.settings.settle_passes
+            for k in range(passes):  # bounces first, then the mean of several passes
+                self.update(state, 0, 1, hysteresis=0.0 if 2 * k < passes else 0.5)
+            if not passes:
                 self.update(state, 0, 1)
         elif self._shown != view.t1:
             every = min(self.settings.every_frames, self.count)

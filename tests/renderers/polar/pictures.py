@@ -19,7 +19,9 @@ from stimuli.scene import StillCamera
 RATE = Fraction(240)
 
 
-def still_view(size_px: tuple[int, int], yfov_deg: float = 60.0, gaze: tuple[float, float] | None = None, **more) -> View:
+def still_view(
+    size_px: tuple[int, int], yfov_deg: float = 60.0, gaze: tuple[float, float] | None = None, **more
+) -> View:
     """A view from the origin down -z."""
     return view_at(0, RATE, Fraction(0), size_px, StillCamera(np.eye(4), np.radians(yfov_deg)), gaze, **more)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -47,7 +48,7 @@ def test_samples_lie_as_densely_as_the_formula_says(kind: str) -> None:
     radial, width, height = RadialMap(kind, 45.0), 1024, 1024
     centres = radial.centres_deg(width)
     edges = np.array([1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 44.0])
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
+    for low, high in itertools.pairwise(edges):
         texels = ((centres >= low) & (centres < high)).sum() * height
         wanted = quad(lambda e: float(radial.density(e, width, height)) * 360 * math.sin(math.radians(e)), low, high)[0]
         assert texels == pytest.approx(wanted, rel=0.02, abs=1.5 * height)

@@ -10,7 +10,14 @@ from renderers.eccentricity import picture_eccentricity_deg
 from renderers.polar.panels import eyes_of
 from renderers.polar.polar_map import RadialMap, gaze_basis, polar_of
 from renderers.technique import ViewGeometry, Viewport
-from tests.renderers.polar.pictures import eye_of, map_of, pixel_directions, still_view, texel_directions, through_buffer
+from tests.renderers.polar.pictures import (
+    eye_of,
+    map_of,
+    pixel_directions,
+    still_view,
+    texel_directions,
+    through_buffer,
+)
 
 activate()
 GAZES = [None, (13.0, -7.0), (30.0, 20.0), (60.0, 0.0), (-90.0, 0.0), (0.0, 90.0), (180.0, 0.0)]
