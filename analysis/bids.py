@@ -23,7 +23,8 @@ from analysis.bids_check import check_bids
 from analysis.exclusions import apply_exclusions, rules_of
 from analysis.gaze import validated_accuracy_dva
 from analysis.protocol_facts import lab_of, screen_of, title_of
-from analysis.sessions import Session, combine, group_text, read_gaze, read_self_answers, read_sessions
+from analysis.sessions import Session, combine, group_text, read_sessions
+from analysis.streams import read_gaze, read_self_answers
 from stimuli.errors import InputError, problem
 
 BIDS_VERSION = "1.11.0"

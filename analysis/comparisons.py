@@ -8,7 +8,7 @@ from itertools import combinations
 import numpy as np
 import pandas as pd
 
-from analysis import binomial_choice
+from analysis import adjust_p, binomial_choice
 
 POOLED = "pooled, not for inference"
 
@@ -43,8 +43,7 @@ def win_matrix(comparisons: pd.DataFrame, conditions: Sequence[str]) -> np.ndarr
 
 
 def pair_table(comparisons: pd.DataFrame, p0: float = 0.5) -> pd.DataFrame:
-    """One row a pair of conditions: a, b, participants, answers, k, n, share, p, exact_low, exact_high, unit,
-    pooled_k, pooled_n, pooled_share, status, note.
+    """One row a pair of conditions: a, b and `CHOICE_COLUMNS`, with p_adjusted (Holm over all pairs) after p.
 
     ``a`` is the one chosen more often. Where every participant gave one answer, k of n answers is tested (exact
     binomial, Clopper-Pearson); else the participant is the unit (`analysis.binomial_choice` on the table), and the
@@ -61,7 +60,9 @@ def pair_table(comparisons: pd.DataFrame, p0: float = 0.5) -> pd.DataFrame:
         a, b = (one, other) if 2 * first >= len(own) else (other, one)
         rows.append({"a": a, "b": b, **choice_row(own.assign(chosen=(own["winner"] == a).astype(float)), p0)})
     columns = ["a", "b", *CHOICE_COLUMNS]
-    return pd.DataFrame(rows, columns=columns)
+    table = pd.DataFrame(rows, columns=columns)
+    table.insert(columns.index("p") + 1, "p_adjusted", adjust_p(table["p"].to_numpy(dtype=float), "holm"))
+    return table
 
 
 CHOICE_COLUMNS = [

@@ -16,7 +16,8 @@ from analysis.exclusions import Exclusions, apply_exclusions, rules_of
 from analysis.plan import likert_questions, within_factors
 from analysis.quality import key_mapping
 from analysis.r_script import r_script
-from analysis.sessions import Session, combine, group_text, read_flips, read_gaze, read_self_answers, read_sessions
+from analysis.sessions import Session, combine, group_text, read_sessions
+from analysis.streams import read_flips, read_gaze, read_self_answers
 from protocols.records import FLIP_DTYPE, GAZE_DTYPE, MAX_PANELS
 from stimuli.errors import InputError, problem
 

@@ -32,6 +32,7 @@ import pandas as pd
 
 from analysis.rows import rows_of_table
 from analysis.sessions import Session
+from protocols.trial import is_right
 from stimuli.errors import InputError, problem
 
 
@@ -140,11 +141,12 @@ def _trial_reasons(table: pd.DataFrame, rules: Sequence[Rule]) -> pd.Series:
 def catch_results(table: pd.DataFrame) -> pd.DataFrame:
     """Catch trials by participant: participant, catch_trials, right, share (nan without catch trials).
 
-    A catch trial is right where its answer (the slot or the rating chosen, or the condition) equals ``correct``.
+    A catch trial is right where its answer (the slot or condition chosen) equals ``correct``, or its rating lies within
+    ``low..high``.
     """
     catch = table[table["catch"].astype(bool) & ~table["practice"].astype(bool) & (table["status"] == "ok")]
     catch = catch[catch["correct"].notna()]
-    right = [str(row.correct) in {str(row.side), str(row.response)} for row in rows_of_table(catch)]
+    right = [is_right(str(row.correct), str(row.side), str(row.response)) for row in rows_of_table(catch)]
     counted = pd.DataFrame({"participant": catch["participant"].to_numpy(), "right": np.array(right, dtype=bool)})
     groups = counted.groupby("participant", sort=False)["right"]
     people = pd.Index(table["participant"].unique(), name="participant")

@@ -19,6 +19,7 @@ from analysis.plan_tests import RUNNERS
 from analysis.planned_test import Plan, Result, Test, column_of
 from analysis.rows import rows_of_table
 from analysis.sessions import Session
+from protocols.trial import is_right
 from stimuli.errors import InputError, problem
 
 _NAMED = ("name", "test", "dv", "within", "between", "subject", "where", "separately_by", "effects")
@@ -136,7 +137,7 @@ def rows_of(kept: pd.DataFrame, test: Test) -> tuple[pd.DataFrame, str]:
     if test.dv in ("choice", "correct"):
         own = with_winner(own, question) if test.dv == "choice" else own[own["correct"].notna()].copy()
         if test.dv == "correct":
-            own["right"] = [str(r.correct) in (str(r.side), str(r.response)) for r in rows_of_table(own)]
+            own["right"] = [is_right(str(r.correct), str(r.side), str(r.response)) for r in rows_of_table(own)]
             own["right"] = own["right"].astype(float)
             return own, "right"
         return own, "chosen"

@@ -117,8 +117,11 @@ def _numbers(values: Sequence[float | None]) -> np.ndarray:
 def shares(data: Data) -> Figure:
     """Shares with intervals against chance. ``rows``: label, share, low, high; ``chance``; ``x_label``."""
     rows = data["rows"]
-    with canvas(WIDTH_PX, 72 + 34 * len(rows)) as (figure, axes):
-        y = _rows_axes(axes, [row["label"] for row in rows], 34)
+    # many pairs stand closer together
+    height = 34 if len(rows) <= 12 else 19
+    with canvas(WIDTH_PX, 72 + height * len(rows)) as (figure, axes):
+        y = _rows_axes(axes, [row["label"] for row in rows], 46 if len(rows) > 12 else 34)
+        axes.tick_params(axis="y", labelsize=11.5 if len(rows) <= 12 else 10)
         share, low, high = (_numbers([row[key] for row in rows]) for key in ("share", "low", "high"))
         axes.axvline(data["chance"], color=INK, linewidth=0.9, linestyle=(0, (4, 3)))
         bars = np.clip(np.nan_to_num(np.stack([share - low, high - share])), 0, None)
@@ -163,7 +166,7 @@ def win_matrix(data: Data) -> Figure:
                 share = wins[i, j] / answers[i, j]
                 axes.fill([j - 0.5, j + 0.5, j + 0.5, j - 0.5], [i - 0.5, i - 0.5, i + 0.5, i + 0.5], color=SERIES[0],
                           alpha=0.06 + 0.6 * share, linewidth=0)  # fmt: skip
-                axes.text(j, i, f"{wins[i, j]}/{answers[i, j]}", ha="center", va="center", fontsize=11)
+                axes.text(j, i, f"{wins[i, j]}/{answers[i, j]}", ha="center", va="center", fontsize=min(11, 74 / n))
         steep = n > 2
         axes.set_xticks(
             range(n),
@@ -247,8 +250,6 @@ def speed_preference(data: Data) -> Figure:
         )
         bars = np.nan_to_num(np.stack([estimate - low, high - estimate]))
         axes.errorbar(cost, estimate, yerr=bars, fmt="o", color=SERIES[0], markersize=6.5, elinewidth=1.6, capsize=3)
-        for row, x, y in zip(rows, cost, estimate, strict=True):
-            axes.annotate(_shorten(row["label"]), (x, y), xytext=(7, 5), textcoords="offset points", fontsize=10.5)
         if cost.min() > 0 and cost.max() / cost.min() > 10:
             axes.set_xscale("log")
             axes.xaxis.set_minor_formatter(FuncFormatter(lambda v, _: ""))
@@ -257,7 +258,47 @@ def speed_preference(data: Data) -> Figure:
         axes.set_xlabel(data["x_label"])
         axes.set_ylabel(data["y_label"])
         axes.grid(axis="both")
+        _name_points(figure, axes, [_shorten(row["label"]) for row in rows], cost, estimate)
     return figure
+
+
+def _name_points(figure: Figure, axes: Axes, names: Sequence[str], x: np.ndarray, y: np.ndarray) -> None:
+    """Names beside points without overlaps: each takes the first free place around its point, with a line where it had
+    to go far; measured in points after a first layout."""
+    figure.draw_without_rendering()
+    scale = 72 / figure.dpi
+    points = axes.transData.transform(np.column_stack([x, y])) * scale
+    left, right = (edge * scale for edge in (axes.bbox.x0, axes.bbox.x1))
+    bottom, top = (edge * scale for edge in (axes.bbox.y0, axes.bbox.y1))
+    # boxes (x0, y0, x1, y1) that are taken: the markers first
+    taken = [(px - 5, py - 5, px + 5, py + 5) for px, py in points]
+    for i in np.argsort(-points[:, 1], kind="stable"):
+        width, height = 5.9 * len(names[i]), 12.0
+        best: tuple[float, tuple[float, float, float, float]] | None = None
+        for step in range(0, 14):
+            for side in (1, -1):
+                for rise in {0.5 * step * height, -0.5 * step * height}:
+                    x0 = points[i, 0] + (8 if side > 0 else -8 - width)
+                    y0 = points[i, 1] - height / 2 + rise
+                    box = (x0, y0, x0 + width, y0 + height)
+                    out = max(left - box[0], box[2] - right, bottom - box[1], box[3] - top, 0.0)
+                    covered = sum(
+                        max(0.0, min(box[2], t[2]) - max(box[0], t[0]))
+                        * max(0.0, min(box[3], t[3]) - max(box[1], t[1]))
+                        for t in taken
+                    )
+                    cost = covered * 10 + out * 50 + step
+                    if best is None or cost < best[0]:
+                        best = (cost, box)
+        assert best is not None
+        box = best[1]
+        taken.append(box)
+        far = abs((box[1] + box[3]) / 2 - points[i, 1]) > height
+        axes.annotate(
+            names[i], (x[i], y[i]), xytext=(box[0] - points[i, 0], (box[1] + box[3]) / 2 - points[i, 1]),
+            textcoords="offset points", va="center", fontsize=10.5,
+            arrowprops={"arrowstyle": "-", "color": QUIET, "linewidth": 0.6, "shrinkB": 4} if far else None,
+        )  # fmt: skip
 
 
 _PLOTS: Mapping[str, Callable[[Data], Figure]] = {

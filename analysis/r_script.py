@@ -1,4 +1,4 @@
-"""analysis.R: the report's main tables once more, from trials.csv, with afex, emmeans and lme4."""
+"""analysis.R: the report's main tables once more, from trials.csv, with afex, lmerTest and base R."""
 
 from __future__ import annotations
 
@@ -11,12 +11,17 @@ from analysis.sessions import Session
 _HEAD = """\
 # {study}: the main tables from trials.csv, with R. Made by `studyapp export --csv`.
 # {who}
-# Needs R >= 4.1 with afex, emmeans and lme4:  Rscript analysis.R  (in this folder)
+# Needs R >= 4.1 with afex and lme4 (lmerTest comes with afex):  Rscript analysis.R  (in this folder)
 suppressPackageStartupMessages({{
-  library(afex)
-  library(emmeans)
   library(lme4)
+  library(afex)
 }})
+results <- list()  # every table of this script by name
+keep <- function(name, table) {{
+  cat("\n==", name, "\n")
+  print(table)
+  results[[name]] <<- table
+}}
 afex_options(type = 3, correction_aov = "GG", es_aov = c("ges", "pes"))
 trials <- read.csv("trials.csv", stringsAsFactors = FALSE, check.names = FALSE,
                    colClasses = c(participant = "character"), na.strings = "")
@@ -30,30 +35,60 @@ rated$dv <- as.numeric(rated[["{dv}"]])
 {factors}
 # repetitions are averaged within participants
 cells <- aggregate(dv ~ participant + {plus}, rated, mean)
-model <- aov_ez("participant", "dv", cells, within = c({within}))
-print(model)
-print(pairs(emmeans(model, ~ {first}), adjust = "holm"))
+model <- aov_ez("participant", "dv", cells, within = c({within}){between})
+keep("{name}: ANOVA", as.data.frame(model$anova_table))
+keep("{name}: sphericity", summary(model)$sphericity.tests)
+# paired t tests of participant means, Holm
 means <- aggregate(dv ~ participant + {first}, rated, mean)
-print(friedman.test(dv ~ {first} | participant, means))
-print(summary(lmer(dv ~ {star} + (1 | participant), rated)))
+complete <- names(which(table(means$participant) == nlevels(means[[{first_quoted}]])))
+means <- droplevels(means[means$participant %in% complete, ])
+means <- means[order(means[[{first_quoted}]], means$participant), ]
+pairs <- t(combn(levels(means[[{first_quoted}]]), 2))
+tests <- apply(pairs, 1, function(pair) {{
+  a <- means$dv[means[[{first_quoted}]] == pair[1]]
+  b <- means$dv[means[[{first_quoted}]] == pair[2]]
+  if (sd(a - b) < 1e-12) return(c(mean(a - b), NA, NA, NA))  # t needs a spread
+  test <- t.test(a, b, paired = TRUE)
+  c(test$estimate, test$statistic, test$parameter, test$p.value)
+}})
+tests <- data.frame(pairs, t(tests))
+names(tests) <- c("a", "b", "mean_diff", "t", "df", "p")
+tests$p_holm <- p.adjust(tests$p, "holm")
+keep("{name}: pairs of {first_plain}", tests)
+friedman <- friedman.test(dv ~ {first} | participant, means)
+keep("{name}: Friedman", data.frame(chi2 = friedman$statistic, df = friedman$parameter, p = friedman$p.value))
+mixed <- lmerTest::lmer(dv ~ {star} + (1 | participant), rated)
+keep("{name}: mixed model", as.data.frame(coef(summary(mixed))))
 """
 _CHOICES = """
-# ---- choices: Bradley-Terry as a logistic regression without intercept; one column a condition
-chosen <- trials[!is.na(trials$winner), ]
-items <- sort(unique(c(chosen$winner, chosen$loser)))
-x <- sapply(items, function(item) (chosen$winner == item) - (chosen$loser == item))
-fit <- glm(rep(1, nrow(chosen)) ~ 0 + x[, -1, drop = FALSE], family = binomial)
-# model-based errors: the report's are over participants, and wider where they differ
-print(summary(fit))
-for (pair in combn(items, 2, simplify = FALSE)) {
-  own <- chosen[chosen$winner %in% pair & chosen$loser %in% pair, ]
-  if (nrow(own) == 0) next
-  shares <- tapply(own$winner == pair[1], droplevels(own$participant), mean)
-  if (all(table(droplevels(own$participant)) == 1)) {
-    print(pair); print(binom.test(sum(shares), length(shares)))
-  } else if (length(shares) > 1 && sd(shares) > 0) {
-    print(pair); print(t.test(shares, mu = 0.5))  # the participant is the unit
+# ---- choices, block by block: Bradley-Terry as a logistic regression without intercept, one column a condition
+bradley_terry <- function(chosen) {
+  items <- sort(unique(c(chosen$winner, chosen$loser)))
+  x <- sapply(items, function(item) (chosen$winner == item) - (chosen$loser == item))
+  # separated answers (a warning, a huge value) and unconnected items (NA) have no finite ability
+  fit <- glm(rep(1, nrow(chosen)) ~ 0 + x[, -1, drop = FALSE], family = binomial)
+  # model-based errors: the report's are over participants, and wider where they differ
+  se <- sqrt(diag(as.matrix(vcov(fit, complete = TRUE))))
+  data.frame(item = items, ability = c(0, unname(coef(fit))), se_of_trials = c(0, unname(se)))
+}
+pair_shares <- function(chosen) {
+  of_pair <- function(pair) {
+    own <- chosen[chosen$winner %in% pair & chosen$loser %in% pair, ]
+    if (nrow(own) == 0) return(NULL)
+    who <- droplevels(own$participant)
+    shares <- tapply(own$winner == pair[1], who, mean)
+    # the participant is the unit: exact where each gave one answer, else t of their shares
+    p <- NA
+    if (all(table(who) == 1)) p <- binom.test(sum(shares), length(shares))$p.value
+    else if (length(shares) > 1 && sd(shares) > 0) p <- t.test(shares, mu = 0.5)$p.value
+    data.frame(a = pair[1], b = pair[2], participants = length(shares), share = mean(shares), p = p)
   }
+  do.call(rbind, combn(sort(unique(c(chosen$winner, chosen$loser))), 2, of_pair, simplify = FALSE))
+}
+compared <- trials[!is.na(trials$winner), ]
+for (block in unique(compared$block)) {
+  keep(paste0(block, ": Bradley-Terry"), bradley_terry(compared[compared$block == block, ]))
+  keep(paste0(block, ": pairs"), pair_shares(compared[compared$block == block, ]))
 }
 """
 
@@ -67,6 +102,16 @@ def _name(text: str) -> str:
     return text if re.fullmatch(r"[A-Za-z.][A-Za-z0-9._]*", text) else f"`{text}`"
 
 
+def _between(sessions: Sequence[Session]) -> list[str]:
+    """Between-participants factors with more than one level among the sessions."""
+    levels: dict[str, set[str]] = {}
+    for session in sessions:
+        group = session.header.get("group")
+        for name, level in (group if isinstance(group, Mapping) else {}).items():
+            levels.setdefault(str(name), set()).add(str(level))
+    return [name for name, found in levels.items() if len(found) > 1]
+
+
 def r_script(
     sessions: Sequence[Session], questions: Mapping[str, Mapping[str, Any]], factors: Sequence[str], choices: bool
 ) -> str:
@@ -77,12 +122,17 @@ def r_script(
     for name, question in questions.items():
         if not factors:
             continue
-        lines = "\n".join(f'rated[["{_quoted(f)}"]] <- factor(rated[["{_quoted(f)}"]])' for f in factors)
-        quoted = [_name(factor) for factor in factors]
+        groups = _between(sessions)
+        every = [*factors, *groups]
+        lines = "\n".join(f'rated[["{_quoted(f)}"]] <- factor(rated[["{_quoted(f)}"]])' for f in every)
+        quoted = [_name(factor) for factor in every]
+        between = ", ".join(f'"{_quoted(group)}"' for group in groups)
         within = ", ".join(f'"{_quoted(factor)}"' for factor in factors)
         text = _quoted(str(question.get("text", "")))
         parts.append(
             _QUESTION.format(name=name, text=text, dv=_quoted(f"rating_{name}"), factors=lines, within=within,
-                             plus=" + ".join(quoted), star=" * ".join(quoted), first=quoted[0])
+                             between=f", between = c({between})" if groups else "", plus=" + ".join(quoted),
+                             star=" * ".join(quoted), first=quoted[0], first_plain=_quoted(factors[0]),
+                             first_quoted=f'"{_quoted(factors[0])}"')
         )  # fmt: skip
     return "".join([*parts, _CHOICES if choices else ""])

@@ -6,10 +6,12 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from analysis.sessions import Session
-from protocols.freeze import differences
+from protocols.freeze import differences, registration
+from protocols.load import read_study
 from stimuli.errors import InputError, problem
 
 _PLANNED = ("alpha", "adjust", "exclusions", "tests")
@@ -42,11 +44,29 @@ def compare(frozen: Mapping[str, Any], sessions: Sequence[Session], analysed: in
         wanted = f"a registration of {sessions[0].header.get('study')}"
         raise InputError(problem("--registration", "study", frozen.get("study"), wanted))
     plan = sessions[0].header.get("analysis_plan") or {}
-    now = {**frozen, **{key: plan.get(key, frozen.get(key)) for key in _PLANNED}, "participants": analysed}
-    lines = [line.replace("now", "here", 1) for line in differences(frozen, now)]
     hashes = {str(session.header.get("protocol_sha256")) for session in sessions}
-    if hashes != {frozen["protocol_sha256"]}:
+    as_registered = hashes == {frozen["protocol_sha256"]}
+    # The part that was changed is named by reading the text that was run; the same text has the same parts.
+    here = {} if as_registered else _registration_of(sessions[0])
+    here["match_sha256"] = frozen.get("match_sha256")
+    now = {**frozen, **here, **{key: plan.get(key, frozen.get(key)) for key in _PLANNED}, "participants": analysed}
+    lines = [line.replace("now", "here", 1) for line in differences(frozen, now)]
+    if not as_registered:
         lines.append("protocol: the text that was run is not the text that was registered")
     before = {test["name"]: test for test in frozen["tests"]}
     same = {test["name"] for test in plan.get("tests") or [] if before.get(test["name"]) == test}
     return Comparison(tuple(lines), frozenset(same))
+
+
+def _registration_of(session: Session) -> dict[str, Any]:
+    """What `studyapp freeze` would write for the protocol text that the session holds; empty where the text is none
+    that stands alone (it is then compared by its hash)."""
+    text = str(session.header.get("protocol_text") or "")
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "protocol.yaml"
+        file.write_text(text, encoding="utf-8")
+        try:
+            study, _ = read_study(file)
+        except InputError:
+            return {}
+    return registration(study, text)

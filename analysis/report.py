@@ -15,12 +15,14 @@ import pandas as pd
 from markupsafe import Markup
 
 from analysis import sections
+from analysis.answer_sections import likert_section, preference_section
 from analysis.blind import code_conditions
 from analysis.blocks import plain, section, words_block, written
 from analysis.comparisons import with_winner
 from analysis.exclusions import Exclusions, apply_exclusions, exclusion_lock, rules_of
 from analysis.gaze import gaze_report
 from analysis.manipulation import luminance_differences, manipulation_checks
+from analysis.matching import match_checks
 from analysis.observers import circular_triads
 from analysis.plan import plan_of, run_plan
 from analysis.plots import draw
@@ -60,17 +62,17 @@ def analyse(
     found: list[dict[str, Any] | None] = []
     if blind:
         checks = checks[["condition", "shown", "missed", "missed_share", "gaze_error_dva"]]
-        found = [sections.manipulation_section(checks, pd.DataFrame())]
+        found = [sections.manipulation_section(checks, pd.DataFrame(), pd.DataFrame())]
     else:
         progress("tests")
         plan = plan_of(sessions, kept)
         results = run_plan(plan, kept, lambda: progress("tests"))
         analysed = int((exclusions.participants["analysed"] > 0).sum())
         registered = compare(registration, sessions, analysed) if registration is not None else None
-        preference, _ = sections.preference_section(kept, checks)
-        ratings = sections.likert_section(kept, sessions) if len(kept) else None
+        preference = preference_section(kept, checks)
+        ratings = likert_section(kept, sessions) if len(kept) else None
         found = [preference, ratings, sections.plan_section(results, plan, kept, registered) if len(kept) else None]
-        found += [sections.manipulation_section(checks, luminance_differences(sessions))]
+        found += [sections.manipulation_section(checks, luminance_differences(sessions), match_checks(sessions))]
         found += [sections.quality_section(response_effects(kept, sessions), _triads(kept), exclusions.table)]
     onset = onset_statement(sessions)
     first = sections.participants_section(exclusions, sessions)

@@ -162,6 +162,16 @@ MANIPULATION: Columns = (
     ("cost_ms", "cost ms/frame", "f2"),
     ("rays", "rays/frame", "int"),
 )  # fmt: skip
+MATCH: Columns = (
+    ("measure", "made equal", "text"),
+    ("condition", "condition", "text"),
+    ("scene", "scene", "text"),
+    ("value", "value", "g"),
+    ("target", "target", "g"),
+    ("difference", "difference", "pct1"),
+    ("tolerance", "tolerance", "pct1"),
+    ("matched", "matched", "text"),
+)  # fmt: skip
 GAZE: Columns = (
     ("participant", "participant", "text"),
     ("device", "device", "text"),
@@ -194,5 +204,6 @@ PAIRS: Columns = (
     ("exact_low", "95 % low", "pct1"),
     ("exact_high", "high", "pct1"),
     ("p", "p", "p"),
+    ("p_adjusted", "p Holm", "p"),
     ("pooled", "pooled, not for inference", "text"),
 )  # fmt: skip

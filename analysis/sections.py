@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-import analysis
 from analysis import apa
 from analysis import result_columns as shown
-from analysis.blocks import Block, figure_block, number, section, table_block, words_block
-from analysis.comparisons import POOLED, conditions_of, pair_table, win_matrix, with_winner
+from analysis.blocks import Block, figure_block, section, table_block, words_block
 from analysis.exclusions import Exclusions
 from analysis.gaze import Gaze
-from analysis.plan import catch_table, likert_questions, within_factors
+from analysis.plan import catch_table
 from analysis.planned_test import Plan, Result
 from analysis.protocol_facts import replication_of
 from analysis.registration import Comparison
 from analysis.rows import rows_of_table
 from analysis.sessions import Session, group_text
 from analysis.timing import Timing, overrides
-from analysis.within_means import cell_means
 
 FEW_SCENES = 6
 
@@ -73,8 +70,10 @@ def timing_section(timing: Timing, onset: str, sessions: Sequence[Session]) -> d
     return section("timing", "Refresh timing", blocks, blind=True)
 
 
-def manipulation_section(checks: pd.DataFrame, differences: pd.DataFrame, limit: float = 0.01) -> dict[str, Any]:
-    """What each condition really was: light, rate, misses, gaze, cost."""
+def manipulation_section(
+    checks: pd.DataFrame, differences: pd.DataFrame, matches: pd.DataFrame, limit: float = 0.01
+) -> dict[str, Any]:
+    """What each condition really was: light, rate, misses, gaze, cost; and whether what was to be equal is."""
     blocks = [table_block("manipulation", "Conditions as shown", checks, shown.MANIPULATION)]
     far = differences[differences["difference"].abs() > limit] if len(differences) else differences
     if len(far):
@@ -83,6 +82,14 @@ def manipulation_section(checks: pd.DataFrame, differences: pd.DataFrame, limit:
             for row in rows_of_table(far)
         ]
         blocks.append(words_block("Compared clips differ in mean luminance by more than 1 %.", *lines, kind="warning"))
+    if len(matches):
+        blocks.append(table_block("match", "What was to be made equal (match)", matches, shown.MATCH))
+        off = [
+            f"{row.condition}, {row.scene}: {row.measure} is {row.difference:+.1%} from its target."
+            for row in rows_of_table(matches[matches["matched"] == "no"])
+        ]
+        if off:
+            blocks.append(words_block("Not equal within the stated tolerance:", *off, kind="warning"))
     return section("manipulation", "Manipulation checks", blocks, blind=True)
 
 
@@ -111,168 +118,6 @@ def quality_section(effects: pd.DataFrame, triads: pd.DataFrame, table: pd.DataF
     else:
         blocks.append(words_block("Catch trials: the study had none."))
     return section("quality", "Quality of the answers", blocks, blind=False)
-
-
-def preference_section(kept: pd.DataFrame, checks: pd.DataFrame) -> tuple[dict[str, Any] | None, pd.DataFrame]:
-    """Choices by pair, the win matrix, the Bradley-Terry scale, cost beside preference; and that scale as a table."""
-    chosen = with_winner(kept)
-    if chosen.empty:
-        return None, pd.DataFrame()
-    pairs = pair_table(chosen)
-    pairs["pooled"] = [f"{row.pooled_k} of {row.pooled_n} ({row.pooled_share:.0%})" for row in rows_of_table(pairs)]
-    conditions = conditions_of(chosen)
-    wins = win_matrix(chosen, conditions)
-    unit, hidden = "the participant is the unit; answers pooled over participants are description only", {"unit"}
-    if (pairs["unit"] != "participants").all():
-        unit = "one answer a participant, exact binomial test with Clopper-Pearson intervals"
-        hidden = {"unit", "pooled"}
-    elif (pairs["unit"] != "participants").any():
-        hidden = set()
-    columns = tuple(column for column in shown.PAIRS if column[0] not in hidden)
-    blocks = [table_block("pairs", f"Choices by pair ({unit})", pairs, columns)]
-    rows = [
-        {"label": f"{r.a} over {r.b}", "share": r.share, "low": r.exact_low, "high": r.exact_high}
-        for r in rows_of_table(pairs)
-    ]
-    label = "share of choices (95 % CI)"
-    blocks.append(
-        figure_block(
-            "shares", "Preference by pair (dashed: chance)", "shares", {"rows": rows, "chance": 0.5, "x_label": label}
-        )
-    )
-    matrix = {"conditions": conditions, "wins": wins, "answers": wins + wins.T}
-    blocks.append(figure_block("win-matrix", f"Win matrix: row chosen over column ({POOLED})", "win_matrix", matrix))
-    scale = analysis.bradley_terry(chosen, winner="winner", loser="loser", observer="participant")
-    blocks.append(
-        table_block(
-            "scale",
-            "Bradley-Terry scale (the first item is the origin)",
-            scale,
-            shown.RESULT_COLUMNS["bradley_terry"],
-            str(scale.attrs.get("method", "")),
-        )
-    )
-    points = [
-        {"item": r.item, "estimate": _finite(r.ability), "low": _finite(r.ci_low), "high": _finite(r.ci_high)}
-        for r in rows_of_table(scale)
-    ]
-    points.sort(key=lambda one: -(one["estimate"] if one["estimate"] is not None else np.inf))
-    blocks.append(
-        figure_block(
-            "scale-plot",
-            "Bradley-Terry scale with 95 % intervals",
-            "scale",
-            {"rows": points, "x_label": "ability (logit)"},
-        )
-    )
-    front = _speed_preference(points, checks)
-    if front:
-        blocks.append(front)
-    return section("preference", "Preference", blocks), scale
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
-
-
-def _speed_preference(points: Sequence[Mapping[str, Any]], checks: pd.DataFrame) -> Block | None:
-    """Cost beside preference where clips carry their cost."""
-    cost = dict(zip(checks["condition"], checks["cost_ms"], strict=True))
-    known = [one for one in points if one["estimate"] is not None and np.isfinite(cost.get(one["item"], np.nan))]
-    rows = [{**one, "label": one["item"], "cost": float(cost[one["item"]])} for one in known]
-    if len(rows) < 2:
-        return None
-    labels = {"x_label": "cost (ms a frame, when rendered)", "y_label": "preference (logit)"}
-    return figure_block("speed-preference", "Cost beside preference", "speed_preference", {"rows": rows, **labels})
-
-
-def likert_section(kept: pd.DataFrame, sessions: Sequence[Session]) -> dict[str, Any] | None:
-    """Per question: diverging bars and means by condition, interaction with the second factor, the counts."""
-    questions = likert_questions(sessions)
-    factors = within_factors(kept, sessions)
-    blocks: list[Block] = []
-    for name, question in questions.items():
-        dv = f"rating_{name}"
-        own = kept[np.isfinite(kept[dv].astype(float))] if dv in kept else kept.iloc[:0]
-        if len(own):
-            blocks += _likert_blocks(own, name, dv, question, factors)
-    return section("likert", "Ratings", blocks) if blocks else None
-
-
-def _likert_blocks(
-    own: pd.DataFrame, name: str, dv: str, question: Mapping[str, Any], factors: Sequence[str]
-) -> list[Block]:
-    low, high = int(question["low"]), int(question["high"])
-    main = factors[0] if factors else "condition"
-    summary = analysis.likert_summary(own, dv=dv, by=[main], scale=(low, high))
-    categories = [str(point) for point in range(low, high + 1)]
-    words = [
-        f"{number(point, 0)} {question['labels'][str(point)]}"
-        for point in range(low, high + 1)
-        if str(point) in question.get("labels", {})
-    ]
-    counts = (
-        own.groupby([main, dv], observed=True)
-        .size()
-        .unstack(fill_value=0)
-        .reindex(columns=range(low, high + 1), fill_value=0)
-    )
-    order = own.groupby(main)[dv].mean().sort_values(ascending=False).index
-    rows = [
-        {
-            "label": level,
-            "n": int(counts.loc[level].sum()),
-            "shares": (counts.loc[level] / counts.loc[level].sum()).to_numpy(dtype=float),
-        }
-        for level in order
-    ]
-    blocks: list[Block] = [words_block(f"“{question['text']}” ({name}; {', '.join(words) or f'{low} to {high}'}).")]
-    alt = f"Ratings of {name} by {main}, stacked from {low} to {high}, the neutral answers split at zero"
-    bars = {"rows": rows, "categories": [number(int(c), 0) for c in categories]}
-    blocks.append(figure_block(f"likert-{name}", f"{name}: answers by {main}", "likert_bars", bars, alt))
-    columns = [(main, main, "text"), ("n", "answers", "int"), ("mean", "mean", "f2"), ("sd", "SD", "f2")]
-    columns += [("median", "median", "f1"), *((share, share, "pct0") for share in ("disagree", "neutral", "agree"))]
-    means = cell_means(own, dv, [main])
-    levels = [str(level) for level in order]
-    means = means.set_index(means[main].astype(str)).loc[levels].reset_index(drop=True)
-    series = [{"name": main, "mean": means["mean"], "low": means["ci_low"], "high": means["ci_high"]}]
-    by_person = own.groupby(["participant", main], observed=True)[dv].mean().reset_index()
-    people = [by_person.loc[by_person[main].astype(str) == level, dv].to_numpy(dtype=float) for level in levels]
-    data = {
-        "x": levels,
-        "series": series,
-        "people": people,
-        "y_label": f"mean rating, {name}",
-        "y_limits": [low - 0.2, high + 0.2],
-    }
-    n = own["participant"].nunique()
-    caption = f"{name}: means with 95 % within-subject intervals (Cousineau-Morey), n = {n} participants (dots)"
-    blocks.append(figure_block(f"means-{name}", caption, "means", data))
-    for other in factors[1:3]:
-        blocks.append(_interaction(own, name, dv, main, other, levels, (low, high)))
-    blocks.append(table_block(f"summary-{name}", f"{name}: answers ({POOLED})", summary, columns))
-    return blocks
-
-
-def _interaction(
-    own: pd.DataFrame, name: str, dv: str, main: str, other: str, levels: Sequence[str], scale: tuple[int, int]
-) -> Block:
-    cells = cell_means(own, dv, [main, other])
-    keyed = cells.set_index([cells[main].astype(str), cells[other].astype(str)])
-    series = []
-    for level in sorted(cells[other].astype(str).unique()):
-        rows = keyed.reindex([(one, level) for one in levels])
-        series.append({"name": level, "mean": rows["mean"], "low": rows["ci_low"], "high": rows["ci_high"]})
-    data = {
-        "x": levels,
-        "series": series,
-        "lines": True,
-        "y_label": f"mean rating, {name}",
-        "y_limits": [scale[0] - 0.2, scale[1] + 0.2],
-    }
-    return figure_block(
-        f"interaction-{name}-{other}", f"{name}: {main} by {other} (95 % within-subject intervals)", "means", data
-    )
 
 
 def plan_section(

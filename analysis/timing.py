@@ -11,7 +11,8 @@ import numpy as np
 import pandas as pd
 
 from analysis.rows import rows_of_table
-from analysis.sessions import Session, read_flips
+from analysis.sessions import Session
+from analysis.streams import read_flips
 from protocols.records import FLIP_EARLY, FLIP_PHASE_SLIP
 
 HISTOGRAM_BINS = 60

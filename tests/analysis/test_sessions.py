@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from analysis import load_sessions
-from analysis.sessions import TRIAL_COLUMNS, read_flips, read_gaze, read_session, session_paths
+from analysis.sessions import TRIAL_COLUMNS, read_session, session_paths
+from analysis.streams import read_flips, read_gaze
 from stimuli.errors import InputError
 from tests.analysis.fabricate import DEMO_CONDITIONS, DEMO_MODEL, choice_plan, demo_study, foveated_study, write_session
 
