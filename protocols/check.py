@@ -8,9 +8,12 @@ from dataclasses import dataclass
 from fractions import Fraction
 from itertools import combinations
 
-from protocols.blocks import WORD_KINDS
+from protocols.adaptive import procedure
+from protocols.blocks import WORD_KINDS, Block
 from protocols.design import column, plan
+from protocols.gaze_demands import BelowFullRate, below_full_rate
 from protocols.requests import ClipSpec, clip_specs
+from protocols.session_size import size_of_block
 from protocols.study import Study
 from protocols.trial import Trial
 from stimuli.errors import problem
@@ -22,7 +25,8 @@ PLAY_BYTES_PER_PX = 4
 
 @dataclass(frozen=True)
 class BlockSummary:
-    """One block as one participant meets it. ``balance``: what is counted -> (least, most)."""
+    """One block as one participant meets it. ``balance``: what is counted -> (least, most). ``adaptive``: the procedure
+    that makes its trials as the answers come (``trials`` is then the most there can be), '' without one."""
 
     name: str
     kind: str
@@ -31,6 +35,7 @@ class BlockSummary:
     catch: int
     minutes: float
     balance: dict[str, tuple[int, int]]
+    adaptive: str = ""
 
 
 @dataclass(frozen=True)
@@ -49,6 +54,7 @@ class Summary:
     upload_bytes: int
     largest_trial_bytes: int
     notes: tuple[str, ...]
+    below_full_rate: tuple[BelowFullRate, ...] = ()
 
 
 def summarise(study: Study, participants: Sequence[int] | None = None) -> Summary:
@@ -67,12 +73,14 @@ def summarise(study: Study, participants: Sequence[int] | None = None) -> Summar
     pixels = [spec.size_px[0] * spec.size_px[1] for spec in stored]
     sizes = [px * spec.frame_count for px, spec in zip(pixels, stored, strict=True)]
     shown = [trial for trial in first if trial.panels]
+    blocks = tuple(_block(study, block, plans) for block in study.blocks if block.kind not in WORD_KINDS)
+    learning = [block for block in blocks if block.adaptive]
     return Summary(
         study=study.study,
         participants=study.participants.target,
-        trials=len(shown),
-        minutes=sum(trial_seconds(study, trial) for trial in first) / 60,
-        blocks=tuple(_block(study, block.name, plans) for block in study.blocks if block.kind not in WORD_KINDS),
+        trials=len(shown) + sum(block.trials for block in learning),
+        minutes=sum(trial_seconds(study, trial) for trial in first) / 60 + sum(block.minutes for block in learning),
+        blocks=blocks,
         clips=clips,
         frames=sum(spec.frame_count for spec in stored),
         store_bytes=int(sum(sizes) * EXR_BYTES_PER_PX),
@@ -80,6 +88,7 @@ def summarise(study: Study, participants: Sequence[int] | None = None) -> Summar
         upload_bytes=max((_upload(trial) for trial in shown), default=0),
         largest_trial_bytes=max((_trial_bytes(trial) for trial in shown), default=0),
         notes=tuple(_notes(study, clips)),
+        below_full_rate=below_full_rate(study),
     )
 
 
@@ -108,13 +117,23 @@ def _trial_bytes(trial: Trial) -> int:
     return int(width) * int(height) * PLAY_BYTES_PER_PX * frames
 
 
-def _block(study: Study, name: str, plans: Sequence[Sequence[Trial]]) -> BlockSummary:
+def first_adaptive_trial(study: Study, block: Block, participant: int = 1) -> Trial | None:
+    """The first trial that ``block`` would show; None where the participant's group does not see it."""
+    return next((trial for trial in procedure(study, participant) if trial.block == block.name), None)
+
+
+def _block(study: Study, block: Block, plans: Sequence[Sequence[Trial]]) -> BlockSummary:
+    if block.adaptive is not None:
+        most, first = size_of_block(study, block), first_adaptive_trial(study, block)
+        seconds = 0.0 if first is None else trial_seconds(study, first) * most
+        return BlockSummary(block.name, block.kind, most, 0, 0, seconds / 60, {}, block.adaptive.kind)
+    name = block.name
     mine = [[trial for trial in trials if trial.block == name] for trials in plans]
     usual = next((trials for trials in mine if trials), [])
     main = [trial for trials in mine for trial in trials if trial.panels and not trial.practice and not trial.catch]
     return BlockSummary(
         name=name,
-        kind=next(block.kind for block in study.blocks if block.name == name),
+        kind=block.kind,
         trials=sum(1 for t in usual if t.panels and not t.practice and not t.catch),
         practice=sum(1 for t in usual if t.practice),
         catch=sum(1 for t in usual if t.catch),

@@ -13,7 +13,9 @@ from typing import Annotated, Any, Union, get_args, get_origin
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from protocols.references import gaze_problems, reference_problems, size_problems
+from protocols.gaze_demands import gaze_problems
+from protocols.references import reference_problems
+from protocols.session_size import size_problems
 from protocols.study import Study
 from protocols.yaml_source import Mark, Node, read_yaml
 from stimuli.errors import InputError, problem

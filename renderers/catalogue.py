@@ -9,10 +9,11 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from importlib import import_module
 
+import numpy as np
 from pydantic import BaseModel
 
 from renderers import parameters as p
-from renderers.technique import Technique
+from renderers.technique import Gaze, Technique, ViewGeometry
 from stimuli.errors import InputError, problem
 
 
@@ -23,6 +24,8 @@ class Entry:
     ``knobs`` name the parameters that trade speed for accuracy, with the values a sweep tries. ``gaze_contingent``
     techniques may not stand side by side. ``framed``: full frames at any content rate. ``stateless``: a frame follows
     from its view alone, so a clip may be divided among workers. ``averages``: frames are means of ``spp`` samples.
+    ``density``: module of ``picture_probability``, how likely each pixel is traced in a frame; ``density_params``: the
+    parameters that it hangs on.
     """
 
     name: str
@@ -36,6 +39,8 @@ class Entry:
     baseline: bool = False
     stateless: bool = False
     averages: bool = False
+    density: str = ""
+    density_params: tuple[str, ...] = ()
 
 
 _ENTRIES: tuple[Entry, ...] = (
@@ -87,6 +92,8 @@ _ENTRIES: tuple[Entry, ...] = (
         class_name="Foveated",
         knobs={"configuration": ("small", "medium", "large"), "p_min": (0.01, 0.05, 0.1), "k_min": (0.05, 0.1, 0.2)},
         gaze_contingent=True,
+        density="renderers.foveated.foveal_function",
+        density_params=("configuration", "r0_deg", "r1_deg", "p_min"),
     ),
     Entry(
         name="checkerboard",
@@ -155,6 +162,18 @@ def entry(name: str, where: str = "technique") -> Entry:
     if name not in CATALOGUE:
         raise InputError(problem(where, "unknown technique", repr(name), " | ".join(CATALOGUE)))
     return CATALOGUE[name]
+
+
+def sampling_probability(
+    name: str, params: BaseModel, size_px: tuple[int, int], geometry: ViewGeometry, gaze: Gaze | None = None
+) -> np.ndarray | None:
+    """(H, W): how likely technique ``name`` traces each pixel of a panel seen in ``geometry``; numpy alone. None where
+    the technique's samples do not hang on eccentricity."""
+    module = CATALOGUE[name].density
+    if not module:
+        return None
+    # The camera's field does not matter where the screen's geometry is given.
+    return import_module(module).picture_probability(params, size_px, 1.0, geometry, gaze)
 
 
 class _Techniques(Mapping[str, type[Technique]]):

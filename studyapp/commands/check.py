@@ -11,6 +11,7 @@ from importlib import import_module
 from pathlib import Path
 
 from protocols.check import Summary, size_problems, summarise
+from protocols.gaze_demands import SAME_SAMPLES_OVERRIDE, same_samples_problems
 from protocols.load import library_path, load_study
 from protocols.study import Study
 from stimuli.errors import InputError, problem
@@ -25,6 +26,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.add_argument("protocol", help="a protocol file, or the name of a shipped one")
     parser.add_argument("--json", action="store_true", help="the plan as JSON")
+    parser.add_argument("--override", action="append", default=[], metavar="CHECK=REASON",
+                        help=f"go on although a check fails ({SAME_SAMPLES_OVERRIDE}); repeatable")  # fmt: skip
     parser.add_argument("--store", default=None, metavar="DIR",
                         help="clips whose luminance is compared (default: $STUDYAPP_STORE, else .clips beside the "
                         "protocol); those not made yet are not waited for")  # fmt: skip
@@ -35,6 +38,11 @@ def run(args: argparse.Namespace) -> int:
     study = load_study(args.protocol)
     problems = [*size_problems(study), *external_problems(study)]
     notes: list[str] = []
+    alike, reason = same_samples_problems(study), named_reasons(args.override).get(SAME_SAMPLES_OVERRIDE)
+    if reason is None:
+        problems += alike
+    else:
+        notes += [f"overridden ({reason}): {line}" for line in alike]
     for name, scene in study.scenes.items():
         found = find_scene(scene.scene, library_path(args.protocol).parent)
         if found is None and scene.instead is None:
@@ -63,6 +71,17 @@ def _luminance(study: Study, args: argparse.Namespace) -> list[str]:
 
     root = store_directory(args.protocol, args.store)
     return stored_luminance_problems(study, ClipStore(root)) if root.is_dir() else []
+
+
+def named_reasons(given: list[str]) -> dict[str, str]:
+    """['a=b', ...] -> {a: b}. Raises InputError on anything else."""
+    found = {}
+    for value in given:
+        name, equals, text = value.partition("=")
+        if not (name and equals and text.strip()):
+            raise InputError(problem("--override", "value", repr(value), "CHECK=REASON"))
+        found[name] = text
+    return found
 
 
 def find_scene(source: str, beside: Path) -> Path | str | None:
@@ -109,10 +128,15 @@ def _lines(summary: Summary) -> Iterator[str]:
     for block in summary.blocks:
         extra = [f"{n} {what}" for n, what in ((block.practice, "practice"), (block.catch, "catch")) if n]
         counted = f"{block.trials} trials" + (f" + {' + '.join(extra)}" if extra else "")
+        if block.adaptive:
+            counted = f"at most {counted}, made as the answers come ({block.adaptive})"
         yield f"  block {block.name} ({block.kind}): {counted}, {block.minutes:.1f} min"
         for what, (least, most) in block.balance.items():
             said = f"{least} each" if least == most else f"{least} to {most}"
             yield f"    {what.replace('_', ' ')}: {said}"
+    for row in summary.below_full_rate:
+        where = f"{row.size_px[0]}x{row.size_px[1]} px on this display"
+        yield f"  {row.condition}: {row.share:.1%} of the pixels below full rate ({where}, gaze at its centre)"
     yield f"clips: {len(summary.clips) - live} to render ({summary.frames} frames), {live} live"
     yield (
         f"disk: at most {_size(summary.store_bytes)} in the store, {_size(summary.play_bytes)} in the play cache; "

@@ -5,8 +5,10 @@ from __future__ import annotations
 import argparse
 import json
 
+from protocols.check import first_adaptive_trial
 from protocols.design import plan
 from protocols.load import load_study
+from protocols.session_size import size_of_block
 from protocols.trial import Trial
 
 HELP = "print the exact trials of one participant, in order"
@@ -23,13 +25,19 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print the plan."""
-    trials = plan(load_study(args.protocol), args.participant, args.seed)
+    study = load_study(args.protocol)
+    trials = plan(study, args.participant, args.seed)
     if args.json:
         print(json.dumps([trial.as_dict() for trial in trials], indent=1))
         return 0
     print(f"{'#':>4} {'block':<14} {'kind':<14} {'scene':<12} shown")
     for trial in trials:
         print(f"{trial.index:>4} {trial.block:<14} {trial.kind:<14} {trial.scene:<12} {_shown(trial)}".rstrip())
+    for block in study.blocks:
+        if block.adaptive is not None and first_adaptive_trial(study, block, args.participant) is not None:
+            most = size_of_block(study, block)
+            said = f"at most {most} trials, made as the answers come ({block.adaptive.kind})"
+            print(f"   + {block.name:<14} {block.kind:<14} {said}")
     return 0
 
 

@@ -1,0 +1,124 @@
+"""What gaze-contingent techniques demand of a protocol: a known gaze, and a display wide enough to tell them apart."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import combinations, product
+
+import numpy as np
+from pydantic import BaseModel
+
+from protocols.blocks import WORD_KINDS
+from protocols.cells import block_cells
+from protocols.names import Problem
+from protocols.requests import ClipSpec, clip_spec, possible_trials
+from protocols.study import Study
+from renderers.catalogue import CATALOGUE, sampling_probability
+from renderers.technique import ViewGeometry
+from stimuli.errors import problem
+
+SAME_SAMPLES = 0.01
+"""Two conditions whose frames differ in a smaller share of their samples show the same thing."""
+SAME_SAMPLES_OVERRIDE = "same_samples"
+
+
+def gaze_problems(study: Study) -> Iterator[Problem]:
+    """A picture made for one gaze cannot be stored for an eye that is free to look anywhere. Only for a study whose
+    names all lead somewhere."""
+    between = study.participants.between
+    groups = [dict(zip(between, pick, strict=True)) for pick in product(*between.values())]
+    known = study.all_conditions()
+    for index, block in enumerate(study.blocks):
+        told: set[str] = set()
+        if block.kind in WORD_KINDS or block.adaptive is not None:
+            continue
+        cells = (cell for group in groups for cell in block_cells(study, block, group))
+        for name, settings in ((name, cell.settings) for cell in cells for name in cell.members):
+            condition = known.get(name)
+            entry = CATALOGUE.get(condition.technique) if condition else None
+            if condition is None or entry is None or not entry.gaze_contingent or name in told:
+                continue
+            live = settings.get("live") if condition.live is None else condition.live
+            if settings.get("fixation") == "free" and not live:
+                told.add(name)
+                got = f"{name} ({condition.technique}) with a free gaze from the store"
+                wanted = "live: true, or fixation: fixed | moving (what the eye will do is not known beforehand)"
+                yield ("blocks", index), f"blocks[{index}]", got, wanted
+
+
+@dataclass(frozen=True)
+class BelowFullRate:
+    """The share of a panel's pixels, in [0, 1], that ``condition`` traces less often than in every frame, at the
+    protocol's display geometry with the gaze at the panel's centre."""
+
+    condition: str
+    size_px: tuple[int, int]
+    share: float
+
+
+@dataclass(frozen=True)
+class _Density:
+    """How likely a condition's pixels are traced, and what else makes its pictures."""
+
+    condition: str
+    block: str
+    spec: ClipSpec
+    others: str
+    chance: np.ndarray
+
+
+def below_full_rate(study: Study) -> tuple[BelowFullRate, ...]:
+    """One row for each condition whose samples hang on eccentricity, and each panel size. Empty where eccentricities
+    come from the camera's field (``display.geometry: camera``), which the scene knows and the protocol does not."""
+    rows = {
+        (found.condition, found.spec.size_px): BelowFullRate(
+            found.condition, found.spec.size_px, float(np.mean(found.chance < 1))
+        )
+        for found in _densities(study)
+    }
+    return tuple(rows.values())
+
+
+def same_samples_problems(study: Study) -> list[str]:
+    """Pairs of conditions of one block whose pictures could hardly be told apart: all else being equal, they are
+    expected to differ in less than 1 % of a frame's samples (the mean of |p_1 - p_2| over pixels) on this display."""
+    found: dict[tuple[str, str, str], str] = {}
+    for one, other in combinations(_densities(study), 2):
+        key = (one.block, one.condition, other.condition)
+        alike = one.block == other.block and one.others == other.others and one.spec.size_px == other.spec.size_px
+        if one.condition == other.condition or not alike or key in found:
+            continue
+        share = float(np.mean(np.abs(one.chance - other.chance)))
+        if share < SAME_SAMPLES:
+            where = f"block {one.block}: {one.condition} and {other.condition}"
+            wanted = f"at least {SAME_SAMPLES:.0%} on this display (or --override {SAME_SAMPLES_OVERRIDE}=REASON)"
+            found[key] = problem(where, "samples that differ", f"{share:.2%}", wanted)
+    return list(found.values())
+
+
+def _densities(study: Study) -> list[_Density]:
+    """Each gaze-contingent condition of each block once a panel size, where the display's geometry says where it is."""
+    if study.display.geometry != "screen":
+        return []
+    made: dict[tuple[str, str, str], _Density] = {}
+    chances: dict[tuple[str, str, tuple[int, int]], np.ndarray] = {}
+    for trial in possible_trials(study):
+        for panel in trial.panels:
+            entry = CATALOGUE.get(panel.technique)
+            if entry is None or not entry.density:
+                continue
+            spec = clip_spec(study, trial, panel)
+            params: BaseModel = entry.params.model_validate_json(spec.params)
+            values = params.model_dump(mode="json")
+            others = json.dumps([{k: v for k, v in values.items() if k not in entry.density_params}, spec.rate_hz])
+            asked = (panel.technique, spec.params, spec.size_px)
+            if asked not in chances:
+                geometry = ViewGeometry(*study.display.panel_m(spec.size_px), study.display.distance_m)
+                chance = sampling_probability(panel.technique, params, spec.size_px, geometry)
+                assert chance is not None
+                chances[asked] = chance
+            key = (trial.block, panel.condition, others)
+            made.setdefault(key, _Density(panel.condition, trial.block, spec, others, chances[asked]))
+    return list(made.values())
