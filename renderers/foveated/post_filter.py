@@ -60,7 +60,7 @@ def filter_light(
         texel = mi.UInt32(j * grid.rows // grid.height * grid.columns + i * grid.columns // grid.width)
         cached = inside & (dr.gather(mi.UInt32, marks, texel, inside) == 0)
         cached &= dr.gather(mi.Float, probability, other, inside) <= 1
-        cached &= fetch(buffers["info"], other, inside).w > 0
+        cached &= dr.gather(mi.Float, buffers["rho_light"], other, inside) > 0
         distance = mi.Float(dx * dx + dy * dy)
         closer = cached & (distance < best)
         light = dr.select(closer, rgb(fetch(buffers["light"], other, closer)), light)

@@ -19,7 +19,7 @@ from renderers.engine import LARGEST, Engine, EngineState
 from renderers.eye_angles import pixel_eccentricity_deg, plane_values
 from renderers.foveated.cache import first_samples, merge
 from renderers.foveated.post_filter import filter_light
-from renderers.foveated.reprojection import BACKGROUND, look, mark, normal_table, resolve, world_depth
+from renderers.foveated.reprojection import BACKGROUND, look, mark, resolve, world_depth
 from renderers.foveated.support import IS_TEXEL, SupportGrid, extract, move
 from renderers.frozen import frozen, opaque_float, opaque_uint
 from renderers.gl.context import MeshRasteriser
@@ -83,10 +83,11 @@ class Foveated:
             self._full.reset(seed)
             return
         pixels, texels = self.size_px[0] * self.size_px[1], self.grid.texels
-        pictures = (*self._names, "info", *(("shown",) if self.noisy else ()))
+        sizes = dict.fromkeys((*self._names, "shown"), 4) | {"info": 2} | ({"rho_light": 1} if self.noisy else {})
         self._now, self._before = (
-            {name: opaque_float(np.zeros(pixels * 4)) for name in pictures} for _ in range(2)
-        )  # fmt: skip
+            {name: opaque_float(np.zeros(pixels * size)) for name, size in sizes.items()} for _ in range(2)
+        )
+        self._carried = tuple(name for name in sizes if name != "shown" or not self.noisy)
         self._support = {name: opaque_float(np.zeros(texels * 4)) for name in (*self._names, "normal")}
         self._support |= {"z": opaque_float(np.zeros(texels)), "mover": opaque_uint(np.zeros(texels))}
         self._marks = opaque_uint(np.zeros(texels))
@@ -94,8 +95,7 @@ class Foveated:
         self._plane: EyePlane | None = None
         self._probability: Any = None
         self._sampled: Any = None
-        rng = np.random.default_rng(np.random.SeedSequence([seed, 2016]))
-        self._normals = opaque_float(normal_table(rng))
+        self._alpha: Any = None
 
     # Kernels --------------------------------------------------------------------------------------------------------
 
@@ -156,13 +156,13 @@ class Foveated:
     def _extract(self, state: EngineState, x: Any, y: Any, texel: Any, z: Any, normal: Any, mover: Any) -> Any:
         return extract(self.engine, self.params.reproject_movers, state, x, y, texel, z, normal, mover)
 
-    def _resolve(self, place: Any, old: Any, support: Any, normals: Any, seed: Any, new: Any) -> Any:
-        return resolve(self.params, self.grid, self._names, place, old, support, normals, seed ^ _TAPS, new)
+    def _resolve(self, place: Any, old: Any, support: Any, seed: Any, new: Any) -> Any:
+        return resolve(self.params, self.grid, self._names, place, old, support, seed ^ _TAPS, new)
 
     def _merge(
         self, pixel: Any, sample: dict[str, Any], probability: Any, texel_of: Any, marks: Any, depth: Any,
         to_world: Any, t_max: Any, buffers: dict[str, Any],
-    ) -> dict[str, Any]:  # fmt: skip
+    ) -> tuple[dict[str, Any], Any]:  # fmt: skip
         if depth is None:
             return first_samples(pixel, sample, buffers)
         texel = dr.gather(mi.UInt32, texel_of, pixel) & (IS_TEXEL - 1)
@@ -226,11 +226,11 @@ class Foveated:
             if self._history:
                 with stage("resolve"):
                     colors = {name: self._support[name] for name in self._names}
-                    old = {name: self._before[name] for name in (*self._names, "info")}
-                    self._now = run["_resolve"](pixels, place, old, colors, self._normals, seed, self._now)
+                    old = {name: self._before[name] for name in self._carried}
+                    self._now = run["_resolve"](pixels, place, old, colors, seed, self._now)
             with stage("merge"):
                 t_max = opaque_float(self.t_max(view))
-                self._now = run["_merge"](
+                self._now, self._alpha = run["_merge"](
                     lanes, pixel, sample, self._probability, self._texel_of, self._marks, depth, state.to_world,
                     t_max, self._now,
                 )  # fmt: skip
@@ -264,24 +264,28 @@ class Foveated:
             self._probability = self._kernels["_probabilities"](pixels, plane_values(plane), self._texel_of)
 
     def show(self, view: View) -> dict[str, np.ndarray]:
-        """Debug pictures of the last frame, (H, W) each: ``sampled``, ``marks`` (0 or 1), ``probability``, and of the
-        cache ``alpha`` (weight of the last sample), ``samples`` (rho; 0: from the support image), ``age`` (frames)."""
+        """Debug pictures of the last frame, (H, W) each: ``sampled``, ``marks`` (0 or 1), ``probability``, ``alpha``
+        (weight of this frame's samples; 0: none), and of the cache ``samples`` (rho; 0: from the support image) and
+        ``age`` (frames)."""
         width, height = self.size_px
         if self._full is not None:
             one = np.ones((height, width), np.float32)
             return {"sampled": one, "marks": 0 * one, "probability": one, "alpha": one, "samples": one, "age": 0 * one}
         sampled = np.zeros(width * height, np.float32)
-        sampled[self._sampled.numpy()] = 1
+        pixel = self._sampled.numpy()
+        sampled[pixel] = 1
+        alpha = np.zeros(width * height, np.float32)
+        alpha[pixel] = self._alpha.numpy()
         texel = self._texel_of.numpy() & (IS_TEXEL - 1)
-        info = self._now["info"].numpy().reshape(height, width, 4)
+        info = self._now["info"].numpy().reshape(height, width, 2)
         shape = (height, width)
         return {
             "sampled": sampled.reshape(shape),
             "marks": self._marks.numpy()[texel].astype(np.float32).reshape(shape),
             "probability": np.minimum(self._probability.numpy(), 1).reshape(shape),
-            "alpha": info[..., 0].copy(),
-            "samples": info[..., 1].copy(),
-            "age": info[..., 2].copy(),
+            "alpha": alpha.reshape(shape),
+            "samples": info[..., 0].copy(),
+            "age": info[..., 1].copy(),
         }
 
     def close(self) -> None:

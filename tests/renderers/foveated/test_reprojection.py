@@ -8,7 +8,7 @@ import pytest
 from renderers.backend import activate, mi
 from renderers.engine import Engine
 from renderers.foveated.post_filter import SEARCH_TEXELS, nearest_unmarked_px
-from renderers.foveated.reprojection import mark
+from renderers.foveated.reprojection import mark, normal_pair, world_depth
 from renderers.foveated.support import IS_TEXEL, SupportGrid
 from renderers.foveated.technique import Foveated
 from renderers.frozen import frozen
@@ -112,7 +112,6 @@ def test_mesh_vertices_move_with_a_mover_unless_told_not_to() -> None:
 
 
 def test_depth_of_the_mesh_is_the_depth_of_the_scene() -> None:
-    from renderers.foveated.reprojection import world_depth
 
     scene = wall(SlidingCamera((0.3, 0.1, -0.4)))
     _, depth, technique = places(scene, 2)
@@ -222,3 +221,14 @@ def test_a_mesh_behind_the_eye_or_at_the_edge_of_time_is_no_trouble() -> None:
     for k in range(3):
         frame = technique.render(view(scene, k, cut=k == 0))
         assert np.isfinite(frame.color).all()
+
+
+def test_the_taps_are_nearly_normal() -> None:
+    bits = np.random.default_rng(1).integers(0, 2**32, 200_000, np.uint32)
+    pair = normal_pair(mi.UInt32(bits))
+    values = np.stack([pair.x.numpy(), pair.y.numpy()])
+    np.testing.assert_allclose(values.mean(axis=1), 0, atol=0.01)
+    np.testing.assert_allclose(np.cov(values), np.eye(2), atol=0.01)
+    # a sum of four has 6/5 / 4 less kurtosis than the normal's 3
+    np.testing.assert_allclose((values**4).mean(axis=1), 2.7, atol=0.05)
+    assert np.abs(values).max() < 3.5
