@@ -97,7 +97,7 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(problem("tradeoff", "frames, warm-up, rate, spp", "one below its least", "1, 0, above 0, 1"))
     settings = tradeoff.settings_of(names, conditions.size_px, conditions.rate_hz, budgets, args.trials, args.seed)
     scenes = args.scene or ["toy_car", "bar"]
-    by_scene = {Path(name).stem: _scene_rows(name, args, settings, conditions) for name in scenes}
+    by_scene = {Path(name).stem: scene_rows(name, args, settings, conditions) for name in scenes}
     args.out.mkdir(parents=True, exist_ok=True)
     (args.out / "tradeoff.json").write_text(json.dumps(by_scene, indent=1))
     tradeoff_report.write_csv(
@@ -166,7 +166,7 @@ def _table1(args: argparse.Namespace, budgets: list[float]) -> int:
     return 0
 
 
-def _scene_rows(name: str, args: argparse.Namespace, settings: list[Any], conditions: Any) -> list[dict[str, Any]]:
+def scene_rows(name: str, args: argparse.Namespace, settings: list[Any], conditions: Any) -> list[dict[str, Any]]:
     """The rows of one scene, from DIR where they are there, measured where not."""
     from tqdm import tqdm
 
