@@ -22,9 +22,10 @@ from pydantic import BaseModel, ValidationError
 
 from renderers.backend import dr
 from renderers.catalogue import CATALOGUE, TECHNIQUES, entry
+from renderers.clip_frames import technique_params
+from renderers.eccentricity import gaze_at
 from renderers.engine import Engine
 from renderers.reference import ReferenceRenderer
-from renderers.clip_frames import technique_params
 from renderers.render_unit import RenderedFrame
 from renderers.technique import Frame, Gaze, Technique, View, ViewGeometry
 from renderers.units import Unit, block_sizes, twin_seed
@@ -171,9 +172,9 @@ def gaze_of(request: ClipRequest, scene: Scene, camera: CameraPath, t1: Fraction
     if geometry is not None:
         # The picture's plane stands at the screen: its half height is tan(yfov / 2) in front of a pinhole.
         half = math.tan(camera.yfov_rad / 2)
-        x = (x / half * geometry.height_m / 2 + geometry.offset_m[0]) / geometry.distance_m
-        y = (y / half * geometry.height_m / 2 + geometry.offset_m[1]) / geometry.distance_m
-    return math.degrees(math.atan(x)), math.degrees(math.atan(y))
+        x = x / half * geometry.height_m / 2 + geometry.offset_m[0]
+        y = y / half * geometry.height_m / 2 + geometry.offset_m[1]
+    return gaze_at((x, y), geometry)
 
 
 def technique_class(name: str) -> type[Technique]:

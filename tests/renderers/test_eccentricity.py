@@ -76,3 +76,16 @@ def test_kernels_agree_with_the_host(gaze: tuple[float, float] | None) -> None:
     x, y = np.meshgrid(np.arange(37) + 0.5, np.arange(23) + 0.5)
     found = pixel_eccentricity_deg(plane_values(plane), mi.Float(x.ravel()), mi.Float(y.ravel())).numpy()
     np.testing.assert_allclose(found.reshape(23, 37), picture_eccentricity_deg(plane, (37, 23)), atol=2e-4)
+
+
+@pytest.mark.parametrize("geometry", [None, SCREEN, ViewGeometry(0.6, 0.4, 0.5, (0.2, -0.1))])
+@pytest.mark.parametrize("point", [(0.2, 0.15), (-0.25, 0.1), (0.0, -0.2)])
+def test_the_gaze_at_a_point_has_no_eccentricity_there(
+    geometry: ViewGeometry | None, point: tuple[float, float]
+) -> None:
+    """The moving target: wherever it is drawn, the fovea is on it."""
+    size = (600, 400)
+    plane = eye_plane(size, 1.0, geometry, gaze_at(point, geometry))
+    low, step_x, step_y = plane.corner, plane.step_x[0], plane.step_y[1]
+    x_px, y_px = (point[0] - low[0]) / step_x, (point[1] - low[1]) / step_y
+    assert eccentricity_deg(plane, x_px, y_px) == pytest.approx(0, abs=1e-6)
