@@ -228,7 +228,7 @@ class Tracer:
         """The ray in the mover's own space, and whether the mover exists at the ray's time."""
         inverse = pose_at(poses, mi.UInt32(mover), time_s, active).inverse()
         if self.needs.appearing:
-            active &= exists_at(poses, mi.UInt32(mover), time_s, active)
+            active = active & exists_at(poses, mi.UInt32(mover), time_s, active)  # not in place: it is the caller's
         return inverse.point(o), inverse.vector(d), active
 
     def _ask(

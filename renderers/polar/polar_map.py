@@ -138,16 +138,22 @@ def farthest_deg(plane: EyePlane, size_px: tuple[int, int], gaze: np.ndarray) ->
     return min(180.0, most + 0.5)  # the edges were looked at in steps
 
 
-def buffer_size(ppd: float, most_deg: float, width: int | None, height: int | None) -> tuple[int, int]:
+def buffer_size(
+    ppd: float, most_deg: float, width: int | None, height: int | None, pixels: float = math.inf
+) -> tuple[int, int]:
     """(W, H) of the buffer of a display of ``ppd`` pixels per degree: HERR's 1024 x 1024 to 45 degrees stand for 60.
 
-    ``width`` and ``height`` (even: the opposite row must exist) override. Raises InputError for an odd height.
+    Narrow fields, where that is more than the ``pixels`` it serves, get as many texels as pixels. ``width`` and
+    ``height`` (even: the opposite row must exist) override. Raises InputError for an odd height.
     """
     if height is not None and height % 2:
         raise InputError(problem("polar: height", "odd height", height, "an even number: the gaze needs opposite rows"))
     scale = ppd / FULL_PPD
     wide = math.ceil(FULL_WIDTH * scale * samples_to(most_deg) / samples_to(PAPER_DEG))
     high = 2 * math.ceil(FULL_HALF_HEIGHT * scale)
+    if wide * high > pixels:
+        wide = math.floor(max(wide * math.sqrt(pixels / (wide * high)), math.sqrt(pixels) / 2))
+        high = 2 * math.floor(pixels / max(wide, 1) / 2)
     return max(2, wide if width is None else width), max(4, high if height is None else height)
 
 

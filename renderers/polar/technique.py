@@ -95,7 +95,8 @@ class Polar:
         gaze = np.asarray(eye.panels[0].plane.gaze)
         most = max(farthest_deg(panel.plane, panel.size_px, gaze) for panel in eye.panels)
         radial = RadialMap(p.mapping, max(most, 1e-3), p.mar_slope, p.mar_foveal_deg)
-        width, height = buffer_size(max(panel.ppd for panel in eye.panels), radial.most_deg, p.width, p.height)
+        ppd, pixels = max(panel.ppd for panel in eye.panels), sum(map(_pixels, eye.panels))
+        width, height = buffer_size(ppd, radial.most_deg, p.width, p.height, pixels)
         if p.dynamic_width:
             turning = pose_delta(view, self.engine.space.radius).turning_deg_s
             width = width_in_use(width, turning, p.width_slope_s_per_deg, p.least_width)

@@ -102,6 +102,8 @@ def test_buffer_sizes() -> None:
     assert wide == math.ceil(256 * samples_to(54.7) / samples_to(45.0))
     assert high == 256
     assert buffer_size(1e-6, 1.0, None, None) == (2, 4)
+    wide, high = buffer_size(3e4, 0.001, None, None, pixels=1200)  # a narrow field: no more texels than pixels
+    assert 2 <= wide * high <= 1200
     assert buffer_size(15.0, 45.0, 77, 90) == (77, 90)
     with pytest.raises(InputError, match="odd height"):
         buffer_size(15.0, 45.0, 77, 91)
