@@ -14,6 +14,10 @@ class Parameters(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
+LightSamples = Literal[1, 4, 9, 16, 25, 36, 49, 64, 81, 100, 144, 256]
+"""Shadow rays for each light with an area: one in each cell of a square grid."""
+
+
 class Reference(Parameters):
     """The gold standard: ``spp`` samples a pixel, averaged linearly before any tone curve; zero delay."""
 
@@ -24,7 +28,7 @@ class Vanilla(Parameters):
     """One sample at each pixel's centre. ``light_samples``: shadow rays for each light with an area, a square number;
     ``delay_frames``: the picture is of so many refreshes ago (double buffering)."""
 
-    light_samples: Literal[1, 4, 9, 16, 25, 36, 49, 64, 81, 100, 144, 256] = 1
+    light_samples: LightSamples = 1
     delay_frames: int = Field(default=0, ge=0, le=8)
 
 
@@ -40,6 +44,7 @@ class TemporallyDense(Parameters):
     neighbourhood: Literal["recent_immediate", "recent_3x3", "all_immediate"] = "recent_immediate"
     reproject: bool = True
     reflected_motion: bool = True
+    light_samples: LightSamples = 1
     box_sigmas: float = Field(1.0, ge=0, le=8)
     least_sigma: float = Field(0.0, ge=0, le=1)
 
@@ -52,6 +57,7 @@ class TemporalAntialiasing(Parameters):
     alpha: float = Field(0.1, gt=0, le=1)
     box_sigmas: float = Field(1.0, ge=0, le=8)
     reflected_motion: bool = True
+    light_samples: LightSamples = 1
     delay_frames: int = Field(default=0, ge=0, le=8)
 
 
@@ -59,6 +65,7 @@ class Checkerboard(Parameters):
     """Half of the pixels a frame, in alternating checkerboards; the others reprojected or interpolated."""
 
     reflected_motion: bool = True
+    light_samples: LightSamples = 1
     box_sigmas: float = Field(1.0, ge=0, le=8)
 
 
@@ -66,6 +73,7 @@ class FramedLowResolution(Parameters):
     """Every refresh at ``samples_per_s`` primary rays a second (rounded down to whole pixels), enlarged bilinearly."""
 
     samples_per_s: float = Field(3.3e6, gt=0)
+    light_samples: LightSamples = 1
     delay_frames: int = Field(default=0, ge=0, le=8)
 
 
@@ -73,6 +81,7 @@ class FramedLowRate(Parameters):
     """Full resolution as often as ``samples_per_s`` allows; the last whole frame is held between."""
 
     samples_per_s: float = Field(3.3e6, gt=0)
+    light_samples: LightSamples = 1
     delay_frames: int = Field(default=0, ge=0, le=8)
 
 
@@ -122,7 +131,7 @@ class Foveated(Parameters):
     post_filter: int = Field(8, ge=0, le=64)
     support_divisor: float = Field(4.6, ge=1, le=64)
     reproject_movers: bool = True
-    light_samples: Literal[1, 4, 9, 16, 25, 36, 49, 64, 81, 100, 144, 256] = 1
+    light_samples: LightSamples = 1
 
     @property
     def region(self) -> tuple[float, float, float]:
@@ -163,7 +172,7 @@ class AdaptiveFrameless(Parameters):
     kappa: float = Field(0.2, ge=0, le=1)
     lambda_: float = Field(0.2, ge=0, le=1)
     m: float = Field(2.0, ge=0)
-    i: float = Field(1.0, gt=0)
+    i: float = Field(0.3, gt=0)
     reprojected: int = Field(5, ge=0, le=6)
     chunk_crosshairs: int = Field(25, ge=1, le=100_000)
     tiling_moves: int = Field(4, ge=1, le=64)

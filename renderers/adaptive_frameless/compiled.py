@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
+SOURCES = ("buffers", "crosshair", "deep_buffer", "rays", "reconstructor", "sampler", "tiling")
+"""The modules whose code or constants are compiled."""
+
 
 def drop_stale_code(folder: Path = Path(__file__).parent) -> int:
-    """Delete the compiled code of this package that is older than the newest of its sources; returns how many files.
+    """Delete the compiled code of this package that is older than the newest of `SOURCES`; returns how many files.
 
     Numba looks only at a function's own file. Call this before the first compiled function runs. A process that finds
     a file gone compiles anew.
     """
-    newest = max(path.stat().st_mtime for path in folder.glob("*.py"))
+    newest = max(path.stat().st_mtime for path in folder.glob("*.py") if path.stem in SOURCES)
     dropped = 0
     for path in (folder / "__pycache__").glob("*.nb[ic]"):
         try:

@@ -15,6 +15,7 @@ from renderers.adaptive_frameless import buffers as c
 from renderers.adaptive_frameless.budget import SampleClock
 from renderers.adaptive_frameless.buffers import Settings
 from renderers.adaptive_frameless.compiled import drop_stale_code
+from renderers.adaptive_frameless.overlay import debug_pictures
 from renderers.adaptive_frameless.rays import CLAMPED, IN, OUT, FramelessRays, counted, host_poses
 from renderers.adaptive_frameless.reconstructor import Filter, Reconstructor
 from renderers.adaptive_frameless.sampler import SAMPLES_PER_VISIT, Poses, Sampler
@@ -138,6 +139,13 @@ class AdaptiveFrameless:
         return self.reconstructor.reconstruct(
             b, f, poses.camera[-1], np.ascontiguousarray(poses.movers[:, -1]), poses.window, poses.lens, poses.t1_s
         )
+
+    def show(self, view: View) -> dict[str, np.ndarray]:
+        """Debug pictures of the last frame, see `overlay.debug_pictures`; empty before the first."""
+        if self.sampler is None or self.reconstructor is None:
+            return {}
+        coverage = self.reconstructor.coverage[:, 0]
+        return debug_pictures(self.sampler.buffers, self.sampler.settings, self.params.samples_per_s, coverage)
 
     def tiles(self) -> int:
         """How many tiles there are now."""

@@ -150,8 +150,8 @@ def test_tiles_gather_where_the_picture_moves() -> None:
 
 
 def test_gain_falls_when_all_moves_and_rises_when_all_is_still() -> None:
-    still = FakeRun((64, 64), lambda x, y, t: 0.5 + 0.4 * np.sin(x))
-    moving = FakeRun((64, 64), lambda x, y, t: 0.5 + 0.4 * np.sin(0.3 * x + 20 * t))
+    still = FakeRun((64, 64), lambda x, y, t: 0.5 + 0.4 * np.sin(x), i=1.0)
+    moving = FakeRun((64, 64), lambda x, y, t: 0.5 + 0.4 * np.sin(0.3 * x + 20 * t), i=1.0)
     for run in (still, moving):
         run.run(2000)
     most = still.settings.most_tiles
