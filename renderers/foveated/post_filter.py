@@ -61,6 +61,8 @@ def filter_light(
         cached = inside & (dr.gather(mi.UInt32, marks, texel, inside) == 0)
         cached &= dr.gather(mi.Float, probability, other, inside) <= 1
         cached &= dr.gather(mi.Float, buffers["rho_light"], other, inside) > 0
+        # background and what only glows hold no light to copy
+        cached &= dr.max(rgb(fetch(buffers["albedo"], other, inside))) > 0
         distance = mi.Float(dx * dx + dy * dy)
         closer = cached & (distance < best)
         light = dr.select(closer, rgb(fetch(buffers["light"], other, closer)), light)

@@ -18,8 +18,9 @@ from renderers.stereo import OCULUS_DK2
 from renderers.technique import Frame, Gaze, View, ViewGeometry
 from renderers.vanilla import Vanilla
 from stimuli import load_scene
-from stimuli.scene import CameraPath, Light, Scene, StillCamera
+from stimuli.scene import CameraPath, Light, Material, Scene, StillCamera
 from tests.renderers.scenes import SlidingCamera, noise_pixels, quad, scene_of, unlit
+from tests.renderers.scenes_by_hand import pbr
 
 SIZE = (120, 90)
 RATE = Fraction(75)
@@ -209,8 +210,7 @@ def test_marked_pixels_show_their_own_sample() -> None:
 
 def lit_scene() -> Scene:
     """A wall under a large rectangle light, so that one sample is noisy; an edge in depth, so that there are marks."""
-    white = unlit().pbr.__class__(baseColorFactor=[0.7, 0.7, 0.7, 1], metallicFactor=0.0, roughnessFactor=1.0)
-    material = unlit().__class__("white", white)
+    material = Material("white", pbr(color=(0.7, 0.7, 0.7)))
     light = Light(
         "area", (6.0, 6.0, 6.0), corner=(-2, 2.5, -3), edge_u=(4, 0, 0), edge_v=(0, 0, 4), direction=(0, -1, 0)
     )
@@ -236,6 +236,20 @@ def test_the_post_filter_lowers_the_variance_of_resampled_regions_only() -> None
         assert marked.sum() > 200
     assert errors[8][1] < 0.7 * errors[0][1]
     np.testing.assert_array_equal(errors[8][0][~marked], errors[0][0][~marked])
+
+
+def test_the_post_filter_takes_no_light_from_the_background() -> None:
+    """A white panel before the empty sky under ambient occlusion: nothing near it is dark."""
+    white = pbr(color=(0.8, 0.8, 0.8))
+    panel = quad((-0.7, -0.5, -2), (1.4, 0, 0), (0, 1, 0), Material("white", white), "panel")
+    scene = scene_of(panel, camera=SlidingCamera((0.3, 0, 0)), background=(0.2, 0.4, 0.9))
+    technique = made(scene, lighting="ambient_occlusion", r0_deg=0.0, r1_deg=0.0)
+    for k in range(6):
+        frame = technique.render(view(scene, k))
+    wanted = vanilla_frame(scene, view(scene, 5), lighting="ambient_occlusion").color
+    marks = technique.show(view(scene, 5))["marks"] > 0
+    assert marks.sum() > 300
+    np.testing.assert_allclose(frame.color[marks], wanted[marks], atol=0.02)
 
 
 def test_no_post_filter_and_one_cache_with_point_lights() -> None:
