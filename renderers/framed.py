@@ -78,7 +78,7 @@ class FramedLowResolution:
         """The small picture at t1, enlarged."""
         size = affordable_size(self.size_px, view.rate_hz, self.params.samples_per_s)
         if self._inner is None or self._inner.size_px != size:
-            params = VanillaParameters(delay_frames=self.params.delay_frames)
+            params = VanillaParameters(delay_frames=self.params.delay_frames, light_samples=self.params.light_samples)
             self._inner = Vanilla(self.engine, size, params, self._seed, self._measure)
         small = self._inner.render(replace(view, size_px=size))
         width, height = self.size_px
@@ -103,7 +103,7 @@ class FramedLowRate:
         self, engine: Engine, size_px: tuple[int, int], params: FramedLowRateParameters, seed: int, measure: Measure
     ) -> None:
         self.engine, self.size_px, self.params = engine, size_px, params
-        self._inner = Vanilla(engine, size_px, VanillaParameters(), seed, measure)
+        self._inner = Vanilla(engine, size_px, VanillaParameters(light_samples=params.light_samples), seed, measure)
         self.reset(seed)
 
     def reset(self, seed: int) -> None:

@@ -51,7 +51,7 @@ class TemporallyDense(Parameters):
 
 class TemporalAntialiasing(Parameters):
     """``form`` 'longest': longest motion of 3x3, variance box, YCoCg, anti-flicker (as Falcor); 'karis': Halton jitter,
-    mean of min/max boxes, clip towards the centre, luminance weights (Karis 2014). ``alpha``: the new sample's weight."""
+    mean of min/max boxes, clip towards the centre, luminance weights (Karis 2014). ``alpha``: the newest's weight."""
 
     form: Literal["longest", "karis"] = "longest"
     alpha: float = Field(0.1, gt=0, le=1)

@@ -54,7 +54,9 @@ class TemporalAntialiasing:
     ) -> tuple[Any, ...]:
         """The jittered sample of every pixel and its motion."""
         ray = self.engine.camera_ray(state, x + jitter.x, y + jitter.y)
-        sample = self.engine.sample(state, ray, rng=combined(seed, pixel), want_motion=True)
+        sample = self.engine.sample(
+            state, ray, rng=combined(seed, pixel), light_samples=self.params.light_samples, want_motion=True
+        )
         store(current, sample.color, mi.Float(0), pixel)
         dr.scatter(motion, self.engine.motion(state, sample, reflected=self.params.reflected_motion), pixel)
         return current, motion, sample.rays, sample.clamped

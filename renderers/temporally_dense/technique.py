@@ -96,7 +96,9 @@ class TemporallyDense:
                 jx, jy = dr.select(slot == k, at_x, jx), dr.select(slot == k, at_y, jy)
             x, y = dr.select(was_static, jx, x), dr.select(was_static, jy, y)
         ray = self.engine.camera_ray(state, mi.Float(px) + x, mi.Float(py) + y)
-        sample = self.engine.sample(state, ray, rng=combined(seed, py * s.width + px), want_motion=True)
+        sample = self.engine.sample(
+            state, ray, rng=combined(seed, py * s.width + px), light_samples=self.params.light_samples, want_motion=True
+        )
         moved = self.engine.motion(state, sample, reflected=self.params.reflected_motion)
         color = sample.color
         dr.scatter(samples, mi.Vector4f(color.x, color.y, color.z, mi.Float(order)), tile)
