@@ -15,6 +15,7 @@ from typing import Any
 from protocols.adaptive import procedure
 from protocols.conditions import Gaze
 from protocols.design import plan
+from protocols.gaze_demands import SAME_SAMPLES_OVERRIDE, same_samples_problems
 from protocols.load import library_path, read_study
 from protocols.study import Study
 from protocols.trial import Trial
@@ -37,7 +38,7 @@ from studyapp.present.presenter import Presenter
 from studyapp.resume import Interrupted, answers_so_far, interrupted, mend, next_session_path, session_paths, unfinished
 from studyapp.seams import Display
 from studyapp.session import Progress, Session, SessionStopped, Sources, finish
-from studyapp.session_devices import SessionDevices, emulated_devices, lab_devices
+from studyapp.session_devices import SessionCalibration, SessionDevices, emulated_devices, lab_devices
 from studyapp.session_header import session_header, sha256_text
 from studyapp.session_log import DurableLog, LogFailed, SessionLog
 from studyapp.simulated_respondent import SimulatedRespondent
@@ -96,11 +97,11 @@ def run_session(request: RunRequest) -> RunDone:
     if before is None and earlier and unfinished(earlier[-1]):
         print(f"note: {earlier[-1]} was interrupted (--resume goes on with it); this is a new run", file=sys.stderr)
     kind = request.display or lab.display.kind
+    used = _different_samples(study, request.overrides)
     sources, clip_rows = _sources(request, study, kind)
-    used = []
     if isinstance(sources, StoredSources):
         trials = sources.planned(trials) if before is None else before.plan
-        used = sources.check(trials, request.overrides)
+        used += sources.check(trials, request.overrides)
     with contextlib.ExitStack() as stack:
         # Before the display is opened: the driver's own threads inherit it.
         priority = ask_realtime() if request.realtime else "normal"
@@ -122,16 +123,18 @@ def run_session(request: RunRequest) -> RunDone:
             else lab_devices(display, lab, geometry)
         )
         look = devices.emulators[1].tell if request.simulated else None
+        calibration = SessionCalibration(devices, display, geometry)
         measured, needed = check_gaze(
             study.gaze, devices.gaze, display, geometry, request.overrides,
             None if look is None else lambda x, y: look("look", x, y), background=style.background / 255,
+            calibrate=calibration.run if devices.calibrate else None,
         )  # fmt: skip
         used += needed
         if isinstance(sources, StoredSources):
             sources.look_with(devices.gaze)
         prepared = Prepared(
             study, text, trials, lab, before, about, display, certificate, tuple(used), measured, sources, clip_rows,
-            devices,
+            devices, calibration.record,
         )  # fmt: skip
         try:
             return _run(request, prepared)
@@ -156,6 +159,7 @@ class Prepared:
     sources: Sources
     clip_rows: Callable[[], list[tuple[str, str, str]]]
     devices: SessionDevices
+    calibration: Mapping[str, Any] | None = None
 
 
 def _run(request: RunRequest, ready: Prepared) -> RunDone:
@@ -272,6 +276,8 @@ def _first_words(log: SessionLog, ready: Prepared) -> None:
     if ready.before is not None:
         again = {"certificate": ready.certificate.as_dict(), "overrides": list(ready.overrides)}
         log.event("session", "resumed", json.dumps(again))
+    if ready.calibration is not None:
+        log.event("eyes", "calibration", json.dumps(ready.calibration))
     if ready.gaze_validation is not None:
         log.event("eyes", "validation", json.dumps(ready.gaze_validation))
     _warn_of_photometry(log, ready.study, ready.lab)
@@ -315,6 +321,15 @@ def _permitted(request: RunRequest, study: Study, certificate: Certificate) -> l
     if not study.timing.lock:
         overrides.setdefault("display_lock", "the protocol does not ask for a locked display")
     return require_lock(certificate, Fraction(study.display.refresh_hz), overrides, request.simulated)
+
+
+def _different_samples(study: Study, overrides: Mapping[str, str]) -> list[dict[str, str]]:
+    """The override that was needed, if one was; InputError for conditions that show the same without it."""
+    alike = same_samples_problems(study)
+    reason = overrides.get(SAME_SAMPLES_OVERRIDE, "").strip()
+    if alike and not reason:
+        raise InputError(*alike)
+    return [{"check": SAME_SAMPLES_OVERRIDE, "reason": reason}] if alike else []
 
 
 def _sources(request: RunRequest, study: Study, kind: str) -> tuple[Sources, Callable[[], list[tuple[str, str, str]]]]:

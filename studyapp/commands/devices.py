@@ -13,13 +13,13 @@ from studyapp.cli import JobFailed
 from studyapp.clock import now_ns
 from studyapp.devices.decoders import BOX_KINDS
 from studyapp.devices.device import DeviceSpec
-from studyapp.devices.reader_process import DeviceReader
+from studyapp.devices.reader_process import TRACKER_KINDS, DeviceReader
 from studyapp.gaze.angles import ScreenGeometry
 from studyapp.lab_file import find_lab
 
 HELP = "response boxes and eye trackers: what is attached; live test of one"
 EXAMPLE = "studyapp devices --test xid:/dev/ttyUSB0 --seconds 20"
-KINDS = (*BOX_KINDS, "lsl", "gazepoint", "pupil")
+KINDS = (*BOX_KINDS, *TRACKER_KINDS)
 VENDOR_EXTRAS = {"tobii": "tobii_research", "eyelink": "pylink"}
 
 
@@ -109,7 +109,7 @@ def attached(look_for_streams: bool = True) -> dict[str, Any]:
                 }
             )
     extras = {
-        name: "library installed; connect it through LSL" if find_spec(module) else "library not installed; use LSL"
+        name: "library installed" if find_spec(module) else f"library not installed (studyapp[{name}]); or use LSL"
         for name, module in VENDOR_EXTRAS.items()
     }
     return {"serial": serial, "lsl": streams, "extras": extras}
@@ -155,6 +155,8 @@ def emulate(kind: str, screen: ScreenGeometry) -> Any:
         return tracker_emulators.gazepoint_emulator(150.0, screen)
     if kind == "pupil":
         return tracker_emulators.pupil_emulator(120.0, screen)
+    if kind in VENDOR_EXTRAS:
+        raise InputError(problem("--test", "port", "emulated", f"a real one: {kind} has no emulator"))
     return emulators.box_emulator(kind)
 
 

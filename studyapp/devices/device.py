@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -29,8 +29,9 @@ class DeviceGone(RuntimeError):
 
 @dataclass(frozen=True)
 class DeviceSpec:
-    """One device of a lab. ``kind``: a box kind of `decoders` or lsl | gazepoint | pupil; ``port``: serial port, stream
-    source id, or host:port; ``options`` as the kind's module says; ``keys``: device key -> key name of the protocol."""
+    """One device of a lab. ``kind``: a box kind of `decoders` or lsl | gazepoint | pupil | tobii | eyelink; ``port``:
+    serial port, stream source id, or host:port; ``options`` as the kind's module says (trackers: ``calibrate``, see
+    `studyapp.gaze.calibrate`); ``keys``: device key -> key name of the protocol."""
 
     name: str
     kind: str
@@ -52,11 +53,22 @@ class DeviceEvent:
 
 @dataclass(frozen=True)
 class Batch:
-    """What one poll brought. ``gaze``: (N,) GAZE_DTYPE."""
+    """What one poll brought. ``gaze``: (N,) GAZE_DTYPE; ``news``: what a tracker says of its calibration."""
 
     presses: tuple[Press, ...] = ()
     gaze: np.ndarray = field(default_factory=lambda: np.zeros(0, GAZE_DTYPE))
     events: tuple[DeviceEvent, ...] = ()
+    news: tuple[dict[str, Any], ...] = ()
+
+
+@runtime_checkable
+class Calibrates(Protocol):
+    """A tracker that has a calibration of its own (`studyapp.gaze.calibrate`)."""
+
+    def calibrate(self, step: str, points: np.ndarray) -> dict[str, Any] | None:
+        """``step``: begin (at the normalised (N, 2) points), point (take in this one now), finish, abort. Answers with
+        one of paced (host | device), target, collected, result, failed; None: the answer comes later (`news`)."""
+        ...
 
 
 class Device(Protocol):

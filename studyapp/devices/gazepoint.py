@@ -7,6 +7,7 @@ import math
 import re
 import socket
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from protocols.records import GAZE_DTYPE
 from studyapp.clock import now_ns
 from studyapp.devices.clock_model import ClockFit, ClockModel
 from studyapp.devices.device import Batch, DeviceEvent, DeviceGone, DeviceSpec, silence_limit_s
+from studyapp.gaze.calibration import gazepoint_commands
 
 DEFAULT_PORT = "127.0.0.1:4242"
 ENABLED = ("COUNTER", "TIME", "TIME_TICK", "POG_BEST", "POG_LEFT", "POG_RIGHT", "PUPIL_LEFT", "USER_DATA")
@@ -63,6 +65,29 @@ def number(values: dict[str, str], key: str) -> float | None:
     return value if math.isfinite(value) else None
 
 
+def calibration_news(values: dict[str, str]) -> dict[str, Any] | None:
+    """A CAL record as an answer of `device.Calibrates`: the next target, or how many targets were calibrated for each
+    eye (LVn, RVn) and how far gaze then lay from them on average, in shares of the screen; None: a step in between."""
+    if values.get("ID") == "CALIB_START_PT":
+        x, y = number(values, "CALX"), number(values, "CALY")
+        return None if x is None or y is None else {"target": [x, y]}
+    if values.get("ID") != "CALIB_RESULT":
+        return None
+    found: dict[str, Any] = {"targets": sum(re.fullmatch(r"CALX\d+", key) is not None for key in values)}
+    for eye, name in (("L", "left"), ("R", "right")):
+        good = [key[2:] for key, value in values.items() if re.fullmatch(rf"{eye}V\d+", key) and value == "1"]
+        found[f"{name}_valid"] = len(good)
+        away = []
+        for n in good:
+            at = [number(values, key + n) for key in (f"{eye}X", f"{eye}Y", "CALX", "CALY")]
+            if None not in at:
+                away.append(math.hypot(at[0] - at[2], at[1] - at[3]))  # type: ignore[operator]
+        found[f"{name}_error"] = sum(away) / len(away) if away else None
+    if not max(found["left_valid"], found["right_valid"]):
+        return {"failed": "no target was seen"}
+    return {"result": found}
+
+
 class Gazepoint:
     """A `Device`. ``spec.port`` HOST:PORT (default 127.0.0.1:4242); the lab file must give the screen.
 
@@ -108,7 +133,7 @@ class Gazepoint:
             if host_ns - self._last_ns > silence_limit_s(self._spec) * 1e9:
                 raise DeviceGone(f"gazepoint {self._spec.port}: silent for {(host_ns - self._last_ns) * 1e-9:.2f} s")
             return Batch()
-        rows, events = [], []
+        rows, events, news = [], [], []
         for record in self._records.feed(data):
             if record.kind == "REC":
                 row = self._sample(record.values, host_ns)
@@ -120,12 +145,14 @@ class Gazepoint:
                 self._tick_hz = number(record.values, "FREQ") or self._tick_hz
             elif record.kind in ("NACK", "CAL"):
                 events.append(DeviceEvent(host_ns, record.kind.lower(), {"text": record.raw[:100]}))
+                if record.kind == "CAL" and (said := calibration_news(record.values)) is not None:
+                    news.append(said)
         if self._records.malformed > self._malformed:
             events.append(DeviceEvent(host_ns, "malformed", {"bytes": self._records.malformed - self._malformed}))
             self._malformed = self._records.malformed
         self._last_ns = host_ns
         gaze = np.array(rows, GAZE_DTYPE) if rows else np.zeros(0, GAZE_DTYPE)
-        return Batch(gaze=self._mapped(gaze, host_ns), events=tuple(events))
+        return Batch(gaze=self._mapped(gaze, host_ns), events=tuple(events), news=tuple(news))
 
     def _sample(self, values: dict[str, str], host_ns: int) -> tuple[float, ...] | None:
         """One row; None where the record has neither stamp nor point."""
@@ -147,6 +174,16 @@ class Gazepoint:
         if len(gaze) and self._fit is not None:
             gaze["mapped_ns"] = np.minimum(self._fit.session_ns_many(gaze["device_s"]), host_ns)
         return gaze
+
+    def calibrate(self, step: str, points: np.ndarray) -> dict[str, Any] | None:
+        """Device-paced (see `studyapp.gaze.calibrate`): the server goes through the points by itself, and says each;
+        its own window stays hidden, since the session shows the targets."""
+        lines = gazepoint_commands(points) if step == "begin" else [b'<SET ID="CALIBRATE_START" STATE="0" />\r\n']
+        try:
+            self._socket.sendall(b"".join(lines))
+        except OSError as error:
+            raise DeviceGone(f"gazepoint {self._spec.port}: the line was cut ({error})") from error
+        return {"paced": "device"} if step == "begin" else None
 
     def fit(self) -> ClockFit | None:
         return self._fit

@@ -17,13 +17,15 @@ import numpy as np
 
 from studyapp.clock import now_ns
 from studyapp.devices.decoders import BOX_KINDS
-from studyapp.devices.device import Batch, Device, DeviceEvent, DeviceGone, DeviceSpec
+from studyapp.devices.device import Batch, Calibrates, Device, DeviceEvent, DeviceGone, DeviceSpec
 from studyapp.devices.records import FIT_RING_DTYPE, GAZE_RING_DTYPE, PRESS_RING_DTYPE, event_record, press_from_record
 from studyapp.devices.records import press_record as as_record
+from studyapp.gaze.calibration import GazeMap
 from studyapp.ring import RecordRing, leave_interrupts_to_the_session, spawn_context
 from studyapp.seams import Press
 from studyapp.session_writer import StreamRings
 
+TRACKER_KINDS = ("lsl", "gazepoint", "pupil", "tobii", "eyelink")
 OPENING, ALIVE, GONE = 0, 1, 2
 HEARTBEAT_LIMIT_S = 1.0  # of a reader that lives and does not come round; a dead one is noticed at once
 REOPEN_S = 0.1
@@ -123,6 +125,14 @@ def _tracker_opener(kind: str) -> Callable[[DeviceSpec], Device]:
         from studyapp.devices.pupil import PupilCore
 
         return PupilCore
+    if kind == "tobii":
+        from studyapp.devices.tobii import TobiiPro
+
+        return TobiiPro
+    if kind == "eyelink":
+        from studyapp.devices.eyelink import EyeLink
+
+        return EyeLink
     raise KeyError(kind)
 
 
@@ -135,6 +145,53 @@ class _Reader:
         self.try_ns = [0] * len(specs)
         self.seen = [False] * len(specs)
         self.fit_ns = 0
+        self.maps: dict[int, GazeMap] = {}
+        self.news: list[tuple[int, dict[str, Any]]] = []
+
+    def obey(self, message: object) -> bool:
+        """A calibration step or a map from the session; False: it is time to end."""
+        match message:
+            case ("map", int(index), coefficients):
+                if coefficients is None:
+                    self.maps.pop(index, None)
+                else:
+                    self.maps[index] = GazeMap(np.asarray(coefficients, float), float("nan"))
+            case ("calibrate", int(index), str(step), points):
+                self.calibrate(index, step, np.asarray(points, float))
+            case _:
+                return False
+        return True
+
+    def calibrate(self, index: int, step: str, points: np.ndarray) -> None:
+        device = self.devices[index]
+        if not isinstance(device, Calibrates):
+            if step != "abort":
+                there = "has no calibration of its own" if device is not None else "is not there"
+                self.news.append((index, {"failed": f"the tracker {there}"}))
+            return
+        try:
+            said = device.calibrate(step, points)
+        except DeviceGone as error:
+            said = {"failed": str(error)}
+        if said is not None:
+            self.news.append((index, said))
+
+    def tell(self, pipe: Connection) -> None:
+        """Pass on what the trackers say of their calibration."""
+        for item in self.news:
+            pipe.send(item)
+        self.news.clear()
+
+    def mapped(self, index: int, gaze: np.ndarray) -> np.ndarray:
+        """Samples with the session's own calibration of that tracker, where it has one."""
+        found, screen = self.maps.get(index), self.specs[index].screen
+        if found is None or screen is None or not len(gaze):
+            return gaze
+        seen = gaze["valid"] > 0
+        raw = np.column_stack(screen.from_dva(gaze["x_dva"][seen], gaze["y_dva"][seen]))
+        gaze = gaze.copy()
+        gaze["x_dva"][seen], gaze["y_dva"][seen] = screen.to_dva(*found(raw).T)
+        return gaze
 
     def event(self, device: int, event: DeviceEvent) -> None:
         if self.streams.events is not None:
@@ -184,11 +241,13 @@ class _Reader:
             self.presses.put(as_record(index, press))
         for event in batch.events:
             self.event(index, event)
+        self.news += [(index, said) for said in batch.news]
         if len(batch.gaze):
-            self.board.look(index, batch.gaze[-1])
+            gaze = self.mapped(index, batch.gaze)
+            self.board.look(index, gaze[-1])
             if self.streams.gaze is not None:
-                records = np.empty(len(batch.gaze), GAZE_RING_DTYPE)
-                records["device"], records["sample"] = index, batch.gaze
+                records = np.empty(len(gaze), GAZE_RING_DTYPE)
+                records["device"], records["sample"] = index, gaze
                 self.streams.gaze.put_many(records)
 
     def fits(self) -> None:
@@ -208,7 +267,7 @@ class _Reader:
 def read_devices(
     pipe: Connection, specs: Sequence[DeviceSpec], streams: StreamRings, presses: RecordRing, board: StatusBoard
 ) -> None:
-    """The reader process: runs until its pipe is closed or says something."""
+    """The reader process: runs until its pipe is closed; through it come calibration steps and maps."""
     leave_interrupts_to_the_session()
     reader = _Reader(specs, streams, presses, board)
     board.beat()
@@ -219,9 +278,10 @@ def read_devices(
             reader.poll()
             reader.fits()
             board.beat()
-            if pipe.poll():
+            if pipe.poll() and not reader.obey(pipe.recv()):
                 break
-    except EOFError:
+            reader.tell(pipe)
+    except (EOFError, BrokenPipeError):
         pass  # the session is over
     finally:
         for device in reader.devices:
@@ -238,6 +298,7 @@ class DeviceReader:
         self.streams = StreamRings.create(self.names)
         self.board = StatusBoard(len(self.specs))
         self._presses = RecordRing(PRESS_RING_DTYPE, 4096)
+        self._maps: dict[int, np.ndarray] = {}
         self._start()
 
     def _start(self) -> None:
@@ -251,6 +312,32 @@ class DeviceReader:
         )
         self._process.start()
         theirs.close()
+        for index, coefficients in self._maps.items():
+            self._pipe.send(("map", index, coefficients))
+
+    def set_map(self, name: str, coefficients: np.ndarray | None) -> None:
+        """Calibrate tracker ``name`` by this polynomial (`studyapp.gaze.calibration.GazeMap`, normalised coordinates)
+        from now on, a restarted reader too; None: leave its gaze as it is."""
+        index = self.names.index(name)
+        self._maps.pop(index, None)
+        if coefficients is not None:
+            self._maps[index] = coefficients
+        self._pipe.send(("map", index, coefficients))
+
+    def calibrate(self, name: str, step: str, points: np.ndarray) -> None:
+        """A step of tracker ``name``'s own calibration (`device.Calibrates`); its answers are `heard`."""
+        self._pipe.send(("calibrate", self.names.index(name), step, points))
+
+    def heard(self) -> list[tuple[str, dict[str, Any]]]:
+        """What trackers said of their calibration since the last call: (device, answer)."""
+        said = []
+        try:
+            while self._pipe.poll():
+                index, answer = self._pipe.recv()
+                said.append((self.names[index], answer))
+        except (EOFError, ConnectionResetError):
+            pass  # the reader died: its devices are seen to be missing
+        return said
 
     @property
     def pid(self) -> int:

@@ -126,6 +126,13 @@ class GlfwDisplay:
         pressed, self._keys = self._keys, []
         return pressed
 
+    def pointer(self) -> tuple[float, float]:
+        """The mouse pointer in pixels from the top left of the window."""
+        x, y = self._glfw.get_cursor_pos(self._window)
+        wide, high = self._glfw.get_window_size(self._window)
+        # Screen coordinates, which are not pixels on displays that scale.
+        return x * self.size_px[0] / max(wide, 1), y * self.size_px[1] / max(high, 1)
+
     def should_close(self) -> bool:
         """The window's close button was used."""
         return bool(self._glfw.window_should_close(self._window))

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import numpy as np
+
 from protocols.conditions import Gaze
 from stimuli.errors import InputError, problem
 from studyapp.gaze.angles import ScreenGeometry
@@ -24,12 +26,13 @@ def check_gaze(
     overrides: Mapping[str, str],
     on_target: Callable[[float, float], None] | None = None,
     background: float = 119 / 255,
+    calibrate: Callable[[TargetScreen, np.ndarray], None] | None = None,
 ) -> tuple[dict[str, Any] | None, list[dict[str, str]]]:
     """Validate where the protocol requires gaze; (measures, overrides that were needed).
 
-    (None, []) where it requires none. On the virtual display, whose clock is not the tracker's, nothing can be
-    validated: only the tracker's presence is checked. Raises InputError for every limit that is missed without its
-    override.
+    ``calibrate`` is called first, with the screen and its targets. (None, []) where it requires none. On the virtual
+    display, whose clock is not the tracker's, nothing can be validated: only the tracker's presence is checked. Raises
+    InputError for every limit that is missed without its override.
     """
     if not limits.required:
         return None, []
@@ -48,6 +51,8 @@ def check_gaze(
     elif display.stamp_class != "virtual":
         screen = TargetScreen(display, geometry, background)
         try:
+            if calibrate is not None:
+                calibrate(screen, target_points(limits.points))
             found = validate(screen, gaze, geometry, target_points(limits.points), on_target)
         finally:
             screen.close()

@@ -68,12 +68,13 @@ def _terms(raw: np.ndarray, count: int) -> np.ndarray:
 
 
 def gazepoint_commands(points: np.ndarray, point_s: float = 1.2) -> Sequence[bytes]:
-    """What a Gazepoint server is sent to calibrate by itself at these normalised points (Open Gaze API v2)."""
+    """What a Gazepoint server is sent to calibrate by itself at these normalised points (Open Gaze API v2), its own
+    window hidden."""
     lines = ['<SET ID="CALIBRATE_CLEAR" />']
     lines += [f'<SET ID="CALIBRATE_ADDPOINT" X="{x:.4f}" Y="{y:.4f}" />' for x, y in points]
     lines += [
         f'<SET ID="CALIBRATE_TIMEOUT" VALUE="{point_s:g}" />',
-        '<SET ID="CALIBRATE_SHOW" STATE="1" />',
+        '<SET ID="CALIBRATE_SHOW" STATE="0" />',
         '<SET ID="CALIBRATE_START" STATE="1" />',
     ]
     return [line.encode() + b"\r\n" for line in lines]
