@@ -8,14 +8,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from analysis.blocks import number, p_text
+from analysis.blocks import number, p_words
 from analysis.planned_test import Result
 from analysis.rows import rows_of_table
-
-
-def _p(p: float) -> str:
-    text = p_text(p)
-    return f"p {text}" if text[0] in "<>" else f"p = {text}"
 
 
 def _share(value: float, digits: int = 2) -> str:
@@ -51,7 +46,7 @@ def _anova(result: Result, row: Mapping[str, Any]) -> str:
     else:
         df = f"{row['df1']:g}, {row['df2']:g}"
     p = row["p_gg"] if corrected else row["p"]
-    text = f"{result.test.name}, {row['effect']}: F({df}) = {number(row['F'], 2)}, {_p(p)}"
+    text = f"{result.test.name}, {row['effect']}: F({df}) = {number(row['F'], 2)}, {p_words(p)}"
     if "eta2_generalized" in row:
         text += f", η²_G = {_share(row['eta2_generalized'])}, η²_p = {_share(row['eta2_partial'])}"
         low, high = (float(row.get(f"eta2_partial_{end}", np.nan)) for end in ("low", "high"))
@@ -64,18 +59,18 @@ def _anova(result: Result, row: Mapping[str, Any]) -> str:
 
 def _ranks(result: Result, row: Mapping[str, Any]) -> str:
     df = f"{row['df1']:g}, {row['df2']:g}"
-    return f"{result.test.name} (aligned ranks), {row['effect']}: F({df}) = {number(row['F'], 2)}, {_p(row['p'])}."
+    return f"{result.test.name} (aligned ranks), {row['effect']}: F({df}) = {number(row['F'], 2)}, {p_words(row['p'])}."
 
 
 def _friedman(result: Result, row: Mapping[str, Any]) -> str:
-    text = f"{result.test.name}: χ²_F({row['df']:g}) = {number(row['chi2'], 2)}, {_p(row['p'])}"
+    text = f"{result.test.name}: χ²_F({row['df']:g}) = {number(row['chi2'], 2)}, {p_words(row['p'])}"
     return f"{text}, W = {_share(row['kendall_w'])}, N = {result.n_subjects}."
 
 
 def _posthoc(result: Result, row: Mapping[str, Any]) -> str:
     adjust = str(result.table.attrs.get("adjust") or result.test.options.get("adjust") or "holm").capitalize()
     text = f"{row['a']} − {row['b']}: t({row['df']:g}) = {number(row['t'], 2)}"
-    text += f", p_{adjust}{_p(row.get('p_family', row['p_adjusted']))[1:]}"
+    text += f", p_{adjust}{p_words(row.get('p_family', row['p_adjusted']))[1:]}"
     text += f", M_diff = {number(row['mean_diff'], 2)}, {_interval(row['ci_low'], row['ci_high'])}"
     text += f", d_z = {number(row['dz'], 2)}"
     family = result.table.attrs.get("family_size", len(result.table))
@@ -87,10 +82,10 @@ def _choice(result: Result, row: Mapping[str, Any]) -> str:
     if row["unit"] == "participants":
         text = f"{result.test.name}: {row['item']} chosen in {row['share']:.0%} of a participant's answers on average"
         text += f" ({row['participants']} participants, {row['answers']} answers; participants as the unit)"
-        return f"{text}, {interval}, {_p(row['p'])}."
+        return f"{text}, {interval}, {p_words(row['p'])}."
     counts = f"{row['k']:g} of {row['n']:g} participants ({row['share']:.0%})"
     text = f"{result.test.name}: {row['item']} was chosen by {counts}, {interval} (Clopper-Pearson)"
-    return f"{text}, exact binomial {_p(row['p'])}."
+    return f"{text}, exact binomial {p_words(row['p'])}."
 
 
 def _scale(result: Result, row: Mapping[str, Any]) -> str:
@@ -110,22 +105,22 @@ def _scale(result: Result, row: Mapping[str, Any]) -> str:
 def _coefficient(result: Result, row: Mapping[str, Any]) -> str:
     statistic = f"t({number(row['df'], 1)}) = {number(row['t'], 2)}" if "t" in row else f"z = {number(row['z'], 2)}"
     estimate = f"b = {number(row['estimate'], 2)}, SE = {number(row['se'], 2)}"
-    return f"{result.test.name}, {row['term']}: {estimate}, {statistic}, {_p(row['p'])}."
+    return f"{result.test.name}, {row['term']}: {estimate}, {statistic}, {p_words(row['p'])}."
 
 
 def _wilcoxon(result: Result, row: Mapping[str, Any]) -> str:
     z = f", z = {number(row['z'], 2)}" if np.isfinite(row["z"]) else ""
-    return f"{result.test.name}: W = {row['statistic']:g}{z}, {_p(row['p'])}, n = {row['n_used']:g}."
+    return f"{result.test.name}: W = {row['statistic']:g}{z}, {p_words(row['p'])}, n = {row['n_used']:g}."
 
 
 def _tost(result: Result, row: Mapping[str, Any]) -> str:
     bounds = f"[{number(row['low'], 2)}, {number(row['high'], 2)}]"
     text = f"{result.test.name}: equivalence within {bounds} (TOST): M_diff = {number(row['mean_diff'], 2)}, 90% CI "
-    return f"{text}[{number(row['ci_low'], 2)}, {number(row['ci_high'], 2)}], {_p(row['p'])}."
+    return f"{text}[{number(row['ci_low'], 2)}, {number(row['ci_high'], 2)}], {p_words(row['p'])}."
 
 
 def _counts_test(result: Result, row: Mapping[str, Any]) -> str:
-    return f"{result.test.name}: χ²({row['df']:g}) = {number(row['statistic'], 2)}, {_p(row['p'])}."
+    return f"{result.test.name}: χ²({row['df']:g}) = {number(row['statistic'], 2)}, {p_words(row['p'])}."
 
 
 _SENTENCES = {

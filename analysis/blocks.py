@@ -91,6 +91,12 @@ def p_text(p: float) -> str:
     return f"{p:.3f}".removeprefix("0") if p < 0.9995 else "> .999"
 
 
+def p_words(p: float) -> str:
+    """APA: 'p = .034', 'p < .001'."""
+    text = p_text(p)
+    return f"p {text}" if text[0] in "<>" else f"p = {text}"
+
+
 def written(value: Any, form: str) -> str:
     """One cell. Forms: text, int, f1..f4 (fixed digits), p, pct0..pct2 (share as per cent), g (4 significant)."""
     if value is None:

@@ -18,11 +18,11 @@ def match_checks(sessions: Sequence[Session]) -> pd.DataFrame:
     """`COLUMNS`, one row for each match of the protocol, condition and scene, from the costs that clips carry.
 
     value: rays or primary rays a second of the clip, or its median ms a frame; target: the stated number, or what the
-    condition ``to`` has in the same scene; difference: value / target - 1; matched: within the tolerance. A row is
-    ``undefined`` where no shown clip carries its cost (simulated sessions, external clips), and for quality, which
-    needs pictures that sessions do not hold.
+    condition ``to`` has in the same scene; difference: value / target - 1; matched: within the tolerance. Where no
+    shown clip carries its cost (simulated sessions, external clips), and for quality, which needs pictures that
+    sessions do not hold, the row has what `studyapp match` measured; it is ``undefined`` where nothing was.
     """
-    stated = protocol_of(sessions[0]).get("match") or []
+    stated = sessions[0].header.get("match") or protocol_of(sessions[0]).get("match") or []
     shown = _shown_clips(sessions)
     rows: list[dict[str, Any]] = []
     for match in stated:
@@ -75,7 +75,12 @@ def _rows(
             row["matched"] = ("yes" if abs(difference) <= tolerance else "no") if known else None
             if not known:
                 why = "no shown clip carries its cost" if match.get("cost") else "sessions hold no pictures"
-                row |= {"status": "undefined", "note": f"{why}: see what `studyapp match` wrote"}
+                found = [one for one in match.get("found") or () if one.get("condition") == condition]
+                row |= {"status": "undefined", "note": f"{why}, and `studyapp match` has not measured it"}
+                if found:
+                    row |= {"value": found[0]["value"], "target": found[0]["target"], "scene": None, "status": "ok"}
+                    row |= {"difference": found[0]["mismatch"], "matched": "yes" if found[0]["matched"] else "no"}
+                    row["note"] = f"{why}: measured by `studyapp match`, mean over scenes"
             rows.append(row)
     return rows
 

@@ -181,6 +181,10 @@ def _mixed_rows(
     elif not free.all():
         gone = ", ".join(name for name, kept in zip(names, free, strict=True) if not kept)
         status, note = BOUNDARY, f"the variance of {gone} is estimated as 0: the model is that without it"
+    else:
+        two = [term.name for term in frame.random if len(np.unique(term.codes)) == 2]
+        if two:
+            status, note = TOO_FEW_SUBJECTS, f"{two[0]!r} has 2 groups: its variance rests on one degree of freedom"
     return _rows(design, gamma, covariance, df, scale, offset, level, status, note)
 
 

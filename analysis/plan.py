@@ -15,7 +15,7 @@ import pandas as pd
 import analysis
 from analysis.comparisons import with_winner
 from analysis.exclusions import catch_results
-from analysis.plan_tests import RUNNERS
+from analysis.plan_tests import FEW_SCENES, RUNNERS
 from analysis.planned_test import Plan, Result, Test, column_of
 from analysis.rows import rows_of_table
 from analysis.sessions import Session
@@ -124,6 +124,25 @@ def derived_tests(kept: pd.DataFrame, sessions: Sequence[Session]) -> tuple[Test
         tests.append(Test(f"{question}: Friedman, {factors[0]}", "friedman", within=(factors[0],), options=own))
         tests.append(Test(f"{question}: post hoc, {factors[0]}", "posthoc_t", within=(factors[0],), options=own))
     return tuple(tests)
+
+
+def with_scenes(plan: Plan, kept: pd.DataFrame) -> Plan:
+    """The plan, with a mixed model that has scenes as a random factor after each test that averages over enough of
+    them (``FEW_SCENES`` or more): repeated-measures ANOVA without scene among its factors, and binomial_choice."""
+    tests: list[Test] = []
+    for test in plan.tests:
+        tests.append(test)
+        if test.test not in ("rm_anova", "binomial_choice") or {"scene"} & {*test.within, *test.where}:
+            continue
+        try:
+            scenes = rows_of(kept, test)[0]["scene"].nunique()
+        except InputError:
+            continue
+        if scenes >= FEW_SCENES and "scene" not in test.separately_by and not test.between:
+            model = "linear_mixed" if test.test == "rm_anova" else "binomial_mixed"
+            options = {**test.options, "scenes_random": True, "primary": False, "hypothesis": None, "family": None}
+            tests.append(replace(test, name=f"{test.name}, scenes random", test=model, options=options, effects=()))
+    return replace(plan, tests=tuple(tests))
 
 
 def rows_of(kept: pd.DataFrame, test: Test) -> tuple[pd.DataFrame, str]:

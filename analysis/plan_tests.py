@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 import analysis
+from analysis.blocks import p_words
 from analysis.comparisons import choice_row
 from analysis.planned_test import Plan, Test, column_of
 from stimuli.errors import InputError, problem
@@ -123,6 +124,21 @@ def _thurstone(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.DataFra
     )
 
 
+FEW_SCENES = 6
+"""From so many scenes on they are a sample of scenes, and a random factor; fewer are these scenes only."""
+
+
+def _random_terms(own: pd.DataFrame, test: Test, formula: str) -> list[str]:
+    """The stated random effects; else participants, and scenes where there are enough and no effect names them."""
+    stated = test.options.get("random")
+    if stated:
+        return [str(stated)]
+    terms = [f"(1|{test.subject})"]
+    if own["scene"].nunique() >= FEW_SCENES and "scene" not in formula:
+        terms.append("(1|scene)")
+    return terms
+
+
 def _formula(own: pd.DataFrame, dv: str, test: Test) -> str:
     given = test.options.get("formula")
     return str(given) if given else f"{dv} ~ {' * '.join(test.within or ('condition',))}"
@@ -132,18 +148,28 @@ def _binomial_mixed(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.Da
     if test.dv == "choice":
         own = _chosen(own, test)
     formula = str(test.options.get("formula") or f"{dv} ~ 1")
-    return analysis.binomial_mixed(own, formula, random=test.options.get("random") or f"(1|{test.subject})")
+    return analysis.binomial_mixed(own, formula, random=_random_terms(own, test, formula))
 
 
 def _cumulative_link(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.DataFrame:
-    random = test.options.get("random") or f"(1|{test.subject})"
-    return analysis.cumulative_link(own, _formula(own, dv, test), random=random)
+    formula = _formula(own, dv, test)
+    return analysis.cumulative_link(own, formula, random=_random_terms(own, test, formula))
 
 
 def _linear_mixed(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.DataFrame:
-    return analysis.linear_mixed(
-        own, _formula(own, dv, test), random=test.options.get("random") or f"(1|{test.subject})"
-    )
+    """With ``scenes_random`` (`plan.with_scenes`): effects that differ by participant and by scene too."""
+    formula = _formula(own, dv, test)
+    random = _random_terms(own, test, formula)
+    if test.options.get("scenes_random"):
+        random = ["(1|scene)", *(f"(1|scene:{name})" for name in test.within), f"(1|{test.subject})"]
+        random += [f"(1|{test.subject}:{name})" for name in test.within]
+    table = analysis.linear_mixed(own, formula, random=random)
+    joint = [
+        f"{one['term']}: F({one['df1']:g}, {one['df2']:.1f}) = {one['F']:.2f}, {p_words(one['p'])}."
+        for one in table.attrs.get("f_tests") or []
+    ]
+    table.attrs["notes"] = [*(table.attrs.get("notes") or []), *joint]
+    return table
 
 
 def _psychometric(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.DataFrame:

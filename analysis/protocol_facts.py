@@ -25,10 +25,11 @@ def _mapping(text: Any) -> Mapping[str, Any]:
     if not isinstance(text, str) or not text.strip():
         return {}
     try:
-        loaded = YAML(typ="safe", pure=True).load(text)
+        # A protocol that extends another is stored as both, the widest first.
+        documents = [one for one in YAML(typ="safe", pure=True).load_all(text) if isinstance(one, Mapping)]
     except YAMLError:
         return {}
-    return loaded if isinstance(loaded, Mapping) else {}
+    return {key: value for document in documents for key, value in document.items()}
 
 
 def title_of(sessions: Sequence[Session]) -> str:

@@ -24,7 +24,7 @@ from analysis.gaze import gaze_report
 from analysis.manipulation import luminance_differences, manipulation_checks
 from analysis.matching import match_checks
 from analysis.observers import circular_triads
-from analysis.plan import plan_of, run_plan
+from analysis.plan import plan_of, run_plan, with_scenes
 from analysis.plots import draw
 from analysis.protocol_facts import title_of
 from analysis.quality import response_effects
@@ -65,7 +65,7 @@ def analyse(
         found = [sections.manipulation_section(checks, pd.DataFrame(), pd.DataFrame())]
     else:
         progress("tests")
-        plan = plan_of(sessions, kept)
+        plan = with_scenes(plan_of(sessions, kept), kept)
         results = run_plan(plan, kept, lambda: progress("tests"))
         analysed = int((exclusions.participants["analysed"] > 0).sum())
         registered = compare(registration, sessions, analysed) if registration is not None else None

@@ -14,14 +14,13 @@ from analysis.blocks import Block, figure_block, section, table_block, words_blo
 from analysis.exclusions import Exclusions
 from analysis.gaze import Gaze
 from analysis.plan import catch_table
+from analysis.plan_tests import FEW_SCENES
 from analysis.planned_test import Plan, Result
 from analysis.protocol_facts import replication_of
 from analysis.registration import Comparison
 from analysis.rows import rows_of_table
 from analysis.sessions import Session, group_text
 from analysis.timing import Timing, overrides
-
-FEW_SCENES = 6
 
 
 def participants_section(exclusions: Exclusions, sessions: Sequence[Session]) -> dict[str, Any]:
@@ -141,6 +140,9 @@ def plan_section(
         blocks.append(
             words_block(f"{scenes} scene{'s' if scenes != 1 else ''}: the results hold for these scenes only.")
         )
+    else:
+        said = f"{scenes} scenes: a random factor in the mixed models; other tests average over them"
+        blocks.append(words_block(f"{said}, and each has such a model beside it where its effects do not name scenes."))
     for place, result in enumerate(results):
         hypothesis = result.test.options.get("hypothesis")
         primary = result.test.options.get("primary", True)

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
+from analysis.bootstrap import in_blocks, resample_weights
 from analysis.pair_model import design, fit_many
 from analysis.paired_comparison import JOD_Z, Comparisons, count_comparisons, fit_attrs, solve
 from analysis.results import OK, SEPARATED, TOO_FEW_SUBJECTS, one_of, result_table
@@ -24,14 +25,16 @@ def thurstone(
     method: str = "ml",
     seed: int = 0,
     n_boot: int = 2000,
+    workers: int | None = None,
 ) -> pd.DataFrame:
     """Thurstone's Case V scale, the first item (in order) at 0; in JOD (z / 0.67449) or z.
 
     ``method``: 'ml' maximum likelihood (Tsukida & Gupta 2011), or 'mean_z' least squares of the normal quantiles of the
     win shares (Mosteller 1951: the mean of z over a complete matrix). With ``observer`` the standard errors come from a
     bootstrap over observers (``n_boot`` resamples, ``seed``; resamples without a finite scale are counted in
-    ``attrs['boot_failed']``), widened by sqrt(n / (n - 1)), and intervals use t(n - 1). Without, each comparison counts
-    as independent. Statuses as in ``bradley_terry``. Raises InputError for unknown names.
+    ``attrs['boot_failed']``; ``workers`` threads change nothing but the time), widened by sqrt(n / (n - 1)), and
+    intervals use t(n - 1). Without, each comparison counts as independent. Statuses as in ``bradley_terry``.
+    Raises InputError for unknown names.
     """
     one_of("thurstone", "unit", unit, ("jod", "z"))
     one_of("thurstone", "method", method, ("ml", "mean_z"))
@@ -46,7 +49,7 @@ def thurstone(
     covariance = solved["covariance"]
     few = observer is not None and n < 2
     if observer is not None and not few and all(s == OK for s in solved["status"]):
-        boot = _bootstrap(comparisons, solved, method, seed, n_boot)
+        boot = _bootstrap(comparisons, solved, method, seed, n_boot, workers)
         valid = boot[np.isfinite(boot).all(axis=1)]
         attrs |= {"boot_failed": len(boot) - len(valid), "n_boot": n_boot, "seed": seed}
         if len(valid) > 1:
@@ -97,17 +100,21 @@ def _mean_z(comparisons: Comparisons, solved: dict[str, Any]) -> None:
     solved["covariance"][1:, 1:] = (solver * variance) @ solver.T
 
 
-def _bootstrap(comparisons: Comparisons, solved: dict[str, Any], method: str, seed: int, n_boot: int) -> np.ndarray:
+def _bootstrap(
+    comparisons: Comparisons, solved: dict[str, Any], method: str, seed: int, n_boot: int, workers: int | None = None
+) -> np.ndarray:
     """Scales (n_boot, items) of resampled observers; nan rows where no finite scale exists."""
-    n, m = len(comparisons.observers), len(comparisons.items)
-    rng = np.random.default_rng(np.random.SeedSequence(seed))
-    weights = rng.multinomial(n, np.full(n, 1 / n), size=n_boot).astype(float)
-    wins, losses = weights @ comparisons.counts[:, 0], weights @ comparisons.counts[:, 1]
-    if method == "ml":
-        found = fit_many(solved["x"], "probit", wins, losses, solved["ability"][1:])
-    else:
-        solver = np.linalg.pinv(design(comparisons.pairs, m, False))
+    m = len(comparisons.items)
+    solver = np.linalg.pinv(design(comparisons.pairs, m, False)) if method == "mean_z" else None
+
+    def fit(weights: np.ndarray) -> np.ndarray:
+        wins, losses = weights @ comparisons.counts[:, 0], weights @ comparisons.counts[:, 1]
+        if solver is None:
+            return fit_many(solved["x"], "probit", wins, losses, solved["ability"][1:])
         with np.errstate(invalid="ignore", divide="ignore"):
-            found = special.ndtri(wins / (wins + losses)) @ solver.T
+            found = np.asarray(special.ndtri(wins / (wins + losses)) @ solver.T)
         found[~np.isfinite(found).all(axis=1)] = np.nan
-    return np.hstack([np.zeros((n_boot, 1)), found])
+        return found
+
+    found = in_blocks(fit, resample_weights(len(comparisons.observers), n_boot, seed), workers)
+    return np.hstack([np.zeros((len(found), 1)), found])

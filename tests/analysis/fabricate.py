@@ -302,14 +302,16 @@ DEMO_MODEL = Model(
 )
 
 
-def demo_study(folder: Path, participants: int = 12, seed: int = 1, **more: Any) -> list[Path]:
+def demo_study(
+    folder: Path, participants: int = 12, seed: int = 1, scenes: Sequence[str] = ("bar", "toy_car"), **more: Any
+) -> list[Path]:
     """A demo-like study: pairwise comparisons and Likert ratings of three conditions on two scenes."""
     paths = []
     for number, child in enumerate(np.random.SeedSequence(seed).spawn(participants), start=1):
         rng = np.random.default_rng(child)
-        plan = choice_plan(DEMO_CONDITIONS, ("bar", "toy_car"), rng)
+        plan = choice_plan(DEMO_CONDITIONS, scenes, rng)
         plan += likert_plan(
-            {"condition": DEMO_CONDITIONS, "scene": ("bar", "toy_car")},
+            {"condition": DEMO_CONDITIONS, "scene": tuple(scenes)},
             ("artifact_free", "smooth"),
             rng,
             start=len(plan),

@@ -8,8 +8,11 @@ from typing import Any
 
 import pytest
 
-from analysis.registration import read_registration
+from analysis.registration import compare, read_registration
 from analysis.report import analyse, render_html
+from analysis.sessions import read_sessions
+from protocols.freeze import registration
+from protocols.load import read_study
 from stimuli.errors import InputError
 from tests.analysis.fabricate import demo_study
 
@@ -51,3 +54,16 @@ def test_what_is_no_registration_is_refused(tmp_path: Path, text: str) -> None:
     path.write_text(text)
     with pytest.raises(InputError, match="registration"):
         read_registration(path)
+
+
+def test_the_part_of_the_protocol_that_was_changed_is_named(tmp_path: Path) -> None:
+    study, text = read_study("temporally_dense_2019")
+    registered = {**registration(study, text), "study": "fabricated"}
+    changed = text.replace("seed: 2019", "seed: 2020")
+    assert changed != text
+    demo_study(tmp_path, participants=2, header={"protocol_text": changed, "protocol_sha256": "1" * 64})
+    sessions = read_sessions([tmp_path])
+    lines = compare(registered, sessions, analysed=2).lines
+    assert "seed: changed since it was frozen" in lines
+    named = {line.split(":")[0] for line in lines if "changed since" in line}
+    assert named == {"seed"}
