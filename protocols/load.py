@@ -14,6 +14,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from protocols.gaze_demands import gaze_problems
+from protocols.match_lock import SUFFIX, read_lock, with_lock
 from protocols.references import reference_problems
 from protocols.session_size import size_problems
 from protocols.study import Study
@@ -40,7 +41,28 @@ def load_study(path: str | Path) -> Study:
 
 
 def read_study(path: str | Path) -> tuple[Study, str]:
-    """`load_study`, and the text of the file (of all files that it extends, first the widest)."""
+    """`load_study`, and the text of the file (of all files that it extends, first the widest).
+
+    Where `studyapp match` has written its lock, conditions have the solved parameters, and the text ends with the lock
+    as comments.
+    """
+    study, text = read_unmatched(path)
+    lock = match_file(path)
+    if not study.match or not lock.is_file():
+        return study, text
+    said = "".join(f"# {line}\n" for line in lock.read_text(encoding="utf-8").splitlines())
+    return with_lock(study, read_lock(lock), lock), f"{text.rstrip()}\n# --- {lock.name}\n{said}"
+
+
+def match_file(path: str | Path) -> Path:
+    """NAME.match.yaml beside the protocol (for shipped protocols, in the current folder)."""
+    file = library_path(path)
+    folder = Path.cwd() if file.parent == LIBRARY else file.parent
+    return folder / f"{file.stem}{SUFFIX}"
+
+
+def read_unmatched(path: str | Path) -> tuple[Study, str]:
+    """`read_study` as if nothing had been matched."""
     file = library_path(path)
     root, text = _extended(file, 0, [])
     written = root.plain()

@@ -10,26 +10,42 @@ from protocols.quantity import Model, Name, Positive, wrong
 
 
 class Knob(Model):
-    """The parameter that may be turned to meet the target, and the range it may be turned in."""
+    """The parameter that may be turned to meet the target: within a range, or to one of some values."""
 
     condition: Name
     parameter: Name
-    low: float
-    high: float
+    low: float | None = None
+    high: float | None = None
     whole: bool = False
+    values: list[float | int | str | bool] | None = Field(default=None, min_length=2, max_length=50)
 
     @model_validator(mode="after")
     def _range(self) -> Knob:
-        if not self.low < self.high:
-            raise wrong(f"low {self.low}, high {self.high}", "low less than high")
+        if self.values is not None:
+            if self.low is not None or self.high is not None or self.whole:
+                raise wrong("both a range and values", "one of them")
+        elif self.low is None or self.high is None or not self.low < self.high:
+            raise wrong(f"low {self.low}, high {self.high}", "low less than high (or values: [...])")
         return self
+
+
+class Matched(Model):
+    """What `studyapp match` found of one condition: ``value`` against ``target``, in the match's unit at the protocol's
+    own size (the mean over scenes); ``mismatch`` = value / target - 1; ``matched``: within the tolerance."""
+
+    condition: Name
+    value: float
+    target: float
+    mismatch: float
+    matched: bool
 
 
 class Match(Model):
     """``cost`` or ``quality`` is made equal over ``conditions``: to ``target``, or to what ``to`` (a condition) has.
 
-    cost: rays_per_s, samples_per_s (primary rays), ms_on_machine (median ms a frame); quality: rmse, flip, flicker
-    against the reference. ``tolerance`` is relative.
+    cost: rays_per_s, samples_per_s (primary rays), ms_on_machine (median ms of a frame that is traced); quality: rmse,
+    psnr, flip (a still eye's), flicker against the reference. ``tolerance`` is relative. ``found`` is written by
+    `studyapp match` into the lock file, not by an author.
     """
 
     cost: Literal["rays_per_s", "ms_on_machine", "samples_per_s"] | None = None
@@ -39,6 +55,7 @@ class Match(Model):
     target: Positive | None = None
     knobs: list[Knob] = Field(default_factory=list)
     tolerance: Annotated[float, Field(gt=0, le=1)] = 0.05
+    found: list[Matched] = Field(default_factory=list, max_length=100)
 
     @model_validator(mode="after")
     def _one_target(self) -> Match:

@@ -24,7 +24,7 @@ from renderers.clip_frames import scene_exposure, technique_params, view_at
 from renderers.engine import Engine
 from renderers.metrics import pixels_per_degree, sequence_error
 from renderers.motion_picture import MotionPicture
-from renderers.technique import Frame, Gaze, Measure
+from renderers.technique import Frame, Gaze, Measure, ViewGeometry
 from stimuli.encode import display_values, encode
 from stimuli.scene import CameraPath, Scene
 
@@ -62,6 +62,7 @@ class Conditions:
     gaze: Gaze | None = None
     lighting: str = "direct"
     flip_windows: int = 4
+    geometry: ViewGeometry | None = None
 
 
 def _short(value: object) -> str:
@@ -125,7 +126,7 @@ class Gold:
 
 def _views(camera: CameraPath, c: Conditions, rate: Fraction, first: int, count: int, exposure: float) -> Iterator[Any]:
     for k in range(first, first + count):
-        yield view_at(k, rate, c.start_s, c.size_px, camera, c.gaze, None, exposure, cut=k == 0)
+        yield view_at(k, rate, c.start_s, c.size_px, camera, c.gaze, c.geometry, exposure, cut=k == 0)
 
 
 def gold_standard(engine: Engine, camera: CameraPath, c: Conditions, progress: Callable[[int], object]) -> Gold:
@@ -139,7 +140,7 @@ def gold_standard(engine: Engine, camera: CameraPath, c: Conditions, progress: C
         values.append(display_values(reference.render(view).color, exposure).astype(np.float32))
         motion.append(mover.of(view))
         progress(1)
-    ppd = pixels_per_degree(*c.size_px, camera.yfov_rad, None)
+    ppd = pixels_per_degree(*c.size_px, camera.yfov_rad, c.geometry)
     return Gold(np.array(values), np.array(motion), exposure, ppd)
 
 

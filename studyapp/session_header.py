@@ -106,6 +106,7 @@ def session_header(
         "conditions": {name: c.model_dump(mode="json") for name, c in study.all_conditions().items()},
         "plan": [trial.as_dict() for trial in plan],
         "group": group_of(study, participant),
+        "match": [match.model_dump(mode="json") for match in study.match],
         **known,
     }
 
