@@ -15,7 +15,7 @@ from typing import Literal
 import moderngl
 import numpy as np
 
-from protocols.records import FLIP_DTYPE, FLIP_OFFSET, FLIP_ONSET, MAX_PANELS
+from protocols.records import FLIP_OFFSET, FLIP_ONSET, MAX_PANELS
 from protocols.trial import Question, Trial
 from renderers.technique import ViewGeometry
 from stimuli.errors import InputError, problem
@@ -23,71 +23,15 @@ from studyapp.present.frame_loop import MissPolicy, PanelPlay, Phase, PhaseShown
 from studyapp.present.layout import IN_SEQUENCE, Mirror, PanelRect, place_panels
 from studyapp.present.overlay import Style, Words, paint_cross, paint_question, paint_words, pixels_per_degree
 from studyapp.present.playlist import check_rate, refresh_count
+from studyapp.present.shown import Answer, KeptFlips, TrialShown, answer_of, key_meanings, trial_of
 from studyapp.present.uploader import PanelTexture, Quads, Sprite, admit, touch
-from studyapp.seams import Display, FlipSink, FrameSource, GazeSource, Press, Responder
+from studyapp.seams import Display, FlipSink, FrameSource, GazeSource, Responder
+
+__all__ = ["DESK", "Answer", "KeptFlips", "OnOnset", "Presenter", "TrialShown"]
 
 DESK = ViewGeometry(width_m=0.5313, height_m=0.2989, distance_m=0.6)
 """A 24-inch 16:9 screen at 60 cm: used where neither protocol nor lab file says."""
 OnOnset = Callable[[int], None]
-
-
-@dataclass(frozen=True)
-class TrialShown:
-    """What was shown of one trial. ``onset_ns``: stamp of the first stimulus refresh; ``onsets_ns``: of each interval
-    of a two-interval trial; ``offset_ns``: of the blank after it; ``refreshes``: of the raster during the stimulus;
-    ``missed``, ``early``, ``late``, ``slips``: during the stimulus; ``press``: the answer that ended it, if one did;
-    ``presses``: all, accepted or not; ``replays``: whole repetitions after the first showing."""
-
-    onset_ns: int
-    offset_ns: int
-    refreshes: int
-    missed: int
-    presses: tuple[Press, ...] = ()
-    replays: int = 0
-    press: Press | None = None
-    onsets_ns: tuple[int, ...] = ()
-    early: int = 0
-    late: int = 0
-    slips: int = 0
-    first_refresh: int = 0
-    aborted: bool = False
-    device_lost: bool = False
-    oldest_gaze_ns: int = -1
-
-    def timing_ok(self, max_missed: int = 0) -> bool:
-        """False where the trial is to be flagged and shown again: too many refreshes lost, an early swap or a slip."""
-        return self.missed <= max_missed and not self.early and not self.slips
-
-
-@dataclass(frozen=True)
-class Answer:
-    """What came of a question or a screen of words. ``answer``: the meaning of the key (None: timed out, aborted or
-    device lost); times on the session clock."""
-
-    answer: str | None
-    press: Press | None
-    onset_ns: int
-    end_ns: int
-    timed_out: bool = False
-    aborted: bool = False
-    device_lost: bool = False
-    replays: int = 0
-    presses: tuple[Press, ...] = ()
-
-
-class KeptFlips:
-    """A FlipSink that keeps every row in memory: tests, benches, demos."""
-
-    def __init__(self) -> None:
-        self._blocks: list[np.ndarray] = []
-
-    def put(self, row: np.ndarray) -> None:
-        """Keep a copy of (N,) rows."""
-        self._blocks.append(row.copy())
-
-    def rows(self) -> np.ndarray:
-        """All rows so far, (N,) FLIP_DTYPE."""
-        return np.concatenate(self._blocks) if self._blocks else np.zeros(0, FLIP_DTYPE)
 
 
 @dataclass
@@ -179,7 +123,7 @@ class Presenter:
                     if done[-1].aborted or done[-1].device_lost:
                         break
                 blank = self._blank(1, responder, gaze, cross=False, marks=FLIP_OFFSET, continues=True)
-        return _trial_shown(done, blank, refreshes if repeat == "until_answer" else None)
+        return trial_of(done, blank, refreshes if repeat == "until_answer" else None)
 
     def ask(
         self,
@@ -200,7 +144,7 @@ class Presenter:
         key). A press of ``replay_key`` calls ``replay`` (which plays the trial again) and asks anew, at most
         ``max_replays`` times; ``Answer.replays`` counts them.
         """
-        keys = _meanings(question)
+        keys = key_meanings(question)
         view_s = question.min_view_s if min_view_s is None else min_view_s
         window = question.window_s if window_s is None else window_s
         replays, presses = 0, []
@@ -216,7 +160,7 @@ class Presenter:
                 replays += 1
                 replay()
                 continue
-            return _answer(shown, keys, replays, presses)
+            return answer_of(shown, keys, replays, presses)
 
     def show_words(
         self,
@@ -239,7 +183,7 @@ class Presenter:
         ends = frozenset() if duration_s is not None else keys
         limit = duration_s if duration_s is not None else window_s
         shown = self._screen(words, responder, ends, min_view_s, limit, gaze, on_onset)
-        answer = _answer(shown, None, 0, shown.presses)
+        answer = answer_of(shown, None, 0, shown.presses)
         return replace(answer, timed_out=False) if duration_s is not None else answer
 
     def rest(self, duration_s: float, responder: Responder | None = None, cross: bool = False) -> int:
@@ -385,51 +329,3 @@ def _flat(rect: PanelRect, code: int) -> np.ndarray:
     picture = np.full((rect.height_px, rect.width_px, 4), code, np.uint8)
     picture[..., 3] = 255
     return picture
-
-
-def _meanings(question: Question) -> dict[str, str] | None:
-    """Key -> answer; None: any key."""
-    if question.keys:
-        return dict(question.keys)
-    if question.kind == "likert":
-        return {str(value): str(value) for value in range(question.low, question.high + 1)}
-    return {option: option for option in question.options} or None
-
-
-def _answer(shown: PhaseShown, keys: Mapping[str, str] | None, replays: int, presses: Sequence[Press]) -> Answer:
-    press = None if shown.aborted else shown.press
-    meaning = None if press is None else press.key if keys is None else keys[press.key]
-    timed_out = shown.press is None and not shown.device_lost
-    return Answer(
-        meaning,
-        press,
-        shown.onset_ns,
-        shown.end_ns,
-        timed_out,
-        shown.aborted,
-        shown.device_lost,
-        replays,
-        tuple(presses),
-    )
-
-
-def _trial_shown(done: Sequence[PhaseShown], blank: PhaseShown, loop: int | None) -> TrialShown:
-    """Phases of a stimulus as one record."""
-    first, last = done[0], done[-1]
-    return TrialShown(
-        onset_ns=first.onset_ns,
-        offset_ns=blank.onset_ns,
-        refreshes=sum(phase.span for phase in done),
-        missed=sum(phase.missed for phase in done),
-        presses=tuple(press for phase in [*done, blank] for press in phase.presses),
-        replays=0 if loop is None else max(0, last.span - 1) // loop,
-        press=last.press,
-        onsets_ns=tuple(phase.onset_ns for phase in done),
-        early=sum(phase.early for phase in done),
-        late=sum(phase.late for phase in done),
-        slips=sum(phase.slips for phase in done),
-        first_refresh=first.first_refresh,
-        aborted=any(phase.aborted for phase in done),
-        device_lost=any(phase.device_lost for phase in done),
-        oldest_gaze_ns=max(phase.oldest_gaze_ns for phase in done),
-    )
