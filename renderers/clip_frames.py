@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
+from renderers.admission import admit
 from renderers.catalogue import TECHNIQUES, entry
 from renderers.engine import Engine, Lighting
 from renderers.parameters import Reference
@@ -100,7 +101,7 @@ def render_clip(
 
     Input is checked at once, nothing is rendered before it is asked for, and there is no warm-up. ``gaze``: (azimuth,
     elevation) in degrees, a function of clip time giving it, or None. ``exposure`` None: `scene_exposure`. Raises
-    InputError for an unknown technique or parameter, a size below 1x1, a rate that is not positive, times not finite.
+    InputError for an unknown technique or parameter, a size below 1x1 or beyond the free memory, a rate that is not positive, times not finite.
     """
     checked = technique_params(technique, params or {})
     rate, duration, start = exact(rate_hz, "rate_hz"), exact(duration_s, "duration_s"), exact(start_s, "start_s")
@@ -115,6 +116,7 @@ def render_clip(
         raise InputError(problem("render_clip", "measure", repr(measure), "total | stages"))
     if exposure is not None and not (math.isfinite(exposure) and exposure > 0):
         raise InputError(problem("render_clip", "exposure", exposure, "a finite number above 0"))
+    admit(technique, (width, height))
     path = scene.camera if camera is None else camera
 
     def frames() -> Iterator[Frame]:

@@ -91,7 +91,8 @@ def run(args: argparse.Namespace) -> int:
     best = found[-1]
     print(f"{best.row['label']}")
     print(
-        f"  {scene.name}, {args.size} at {args.rate} Hz: median {best.ms_median:.2f} ms, 95 % within {best.ms_p95:.2f} ms"
+        f"  {scene.name}, {args.size} at {args.rate} Hz:"
+        f" median {best.ms_median:.2f} ms, 95 % within {best.ms_p95:.2f} ms"
     )
     print(
         f"  RMSE {best.row['rmse_still'] * 255:.2f} (still eye), {best.row['rmse_tracking'] * 255:.2f} (tracking eye)"

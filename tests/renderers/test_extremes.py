@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 import pytest
 
-from renderers import TECHNIQUES
+from renderers import TECHNIQUES, render_clip
+from renderers.admission import BYTES_PER_PX, admit, bytes_needed
 from renderers.catalogue import CATALOGUE
 from renderers.clip_frames import technique_params, view_at
 from renderers.engine import LARGEST, Engine
 from renderers.technique import Frame
+from renderers.tracer import Tracer
 from renderers.trap import trapping
+from stimuli.errors import InputError
+from stimuli.scene import Mover
 from tests.renderers.extreme_scenes import CONSTANT, TABLE, Extreme, ordinary
+from tests.renderers.scenes_by_hand import Drift, box, diffuse
 
 FRAMES = 3
 CLOSED_LOOP = {"adaptive_frameless"}
@@ -115,3 +121,36 @@ def shown_plainly(engine: Engine, technique: str, row: Extreme) -> np.ndarray:
 def test_debug_mode_changes_no_pixel(technique: str, ordinary_picture: Callable[[str], np.ndarray]) -> None:
     plain = shown_plainly(Engine(ordinary()), technique, BY_NAME["ordinary"])
     np.testing.assert_array_equal(plain, ordinary_picture(technique))
+
+
+def test_8k_is_refused_beforehand_where_it_does_not_fit() -> None:
+    size_px = (7680, 4320)
+    needed = bytes_needed("taa", size_px)
+    assert needed > 7680 * 4320 * 12  # more than the picture itself
+    admit("taa", size_px, available=needed)
+    with pytest.raises(
+        InputError, match=rf"7680x4320, for which taa needs {needed} bytes .* wanted what fits in the 1000"
+    ):
+        admit("taa", size_px, available=1000)
+
+
+@pytest.mark.parametrize("technique", sorted(CATALOGUE))
+def test_a_clip_that_cannot_fit_is_refused_before_anything_is_built(technique: str) -> None:
+    with pytest.raises(InputError, match="size_px"):
+        render_clip(ordinary(), technique, size_px=(1_000_000, 1_000_000))
+    with pytest.raises(InputError, match="bytes"):
+        render_clip(ordinary(), technique, size_px=(60_000, 60_000))
+
+
+def test_every_technique_says_what_memory_it_takes() -> None:
+    assert set(CATALOGUE) == set(BYTES_PER_PX)
+
+
+def test_thousands_of_movers_are_all_there() -> None:
+    """1000 drifting boxes and one by hand in front of them: the ray through it hits it, and the picture is not empty."""
+    subject = ordinary(movers=1000)
+    front = Mover("front", (box((0, 0, 0), (0.2, 0.2, 0.2), diffuse()),), Drift((0.0, 0.0, 3.0), (0.0, 0.0, 0.0)))
+    subject = replace(subject, movers=(*subject.movers, front))
+    hits = Tracer(subject).trace(np.array([[0.0, 0.0, 5.0]]), np.array([[0.0, 0.0, -1.0]]))
+    assert hits.mover[0] == 1000
+    assert hits.t[0] == pytest.approx(1.8, abs=1e-5)

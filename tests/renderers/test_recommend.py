@@ -16,8 +16,8 @@ from studyapp.cli import main
 
 def row(name: str, ms: float, error: float, hz: float = 240.0) -> dict[str, Any]:
     return {
-        "technique": name, "label": name, "params": {}, "content_hz": hz, "ms_per_content_frame": ms, "ms_p95": ms * 1.2,
-        "rmse_eyes": error, "rmse_still": error, "rmse_tracking": error,
+        "technique": name, "label": name, "params": {}, "content_hz": hz, "ms_per_content_frame": ms,
+        "ms_p95": ms * 1.2, "rmse_eyes": error, "rmse_still": error, "rmse_tracking": error,
     }  # fmt: skip
 
 
