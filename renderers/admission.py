@@ -1,4 +1,4 @@
-"""Is there memory for a clip of this size? Asked before anything is allocated, so that the answer is a line, not a kill.
+"""Is there memory for a clip of this size? Asked before anything is allocated: the answer is a line, not a kill.
 
 Bytes a pixel were measured (peak of the process at 1600x1200 over 128x128, three frames of tunnel_geom, LLVM backend:
 reference 126, vanilla 61, taa 104, temporally_dense 133, checkerboard 98, framed_low_resolution 33, framed_low_rate 61,

@@ -101,7 +101,8 @@ def render_clip(
 
     Input is checked at once, nothing is rendered before it is asked for, and there is no warm-up. ``gaze``: (azimuth,
     elevation) in degrees, a function of clip time giving it, or None. ``exposure`` None: `scene_exposure`. Raises
-    InputError for an unknown technique or parameter, a size below 1x1 or beyond the free memory, a rate that is not positive, times not finite.
+    InputError for an unknown technique or parameter, a size below 1x1 or beyond the free memory, a rate that is not
+    positive, times not finite.
     """
     checked = technique_params(technique, params or {})
     rate, duration, start = exact(rate_hz, "rate_hz"), exact(duration_s, "duration_s"), exact(start_s, "start_s")

@@ -147,7 +147,7 @@ def test_every_technique_says_what_memory_it_takes() -> None:
 
 
 def test_thousands_of_movers_are_all_there() -> None:
-    """1000 drifting boxes and one by hand in front of them: the ray through it hits it, and the picture is not empty."""
+    """1000 drifting boxes and one by hand in front of them: the ray through it hits it."""
     subject = ordinary(movers=1000)
     front = Mover("front", (box((0, 0, 0), (0.2, 0.2, 0.2), diffuse()),), Drift((0.0, 0.0, 3.0), (0.0, 0.0, 0.0)))
     subject = replace(subject, movers=(*subject.movers, front))
