@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+from collections.abc import Mapping
 from datetime import date
 from pathlib import Path
 from typing import Any, Literal
@@ -19,6 +20,7 @@ from pydantic import Field, ValidationError
 from protocols.quantity import Model, Name, Positive, Rate, Size
 from protocols.yaml_source import read_yaml
 from renderers.technique import ViewGeometry
+from stimuli.encode import DisplayTable, table_from_samples
 from stimuli.errors import InputError, problem
 
 DisplayKind = Literal["glfw", "offscreen", "virtual"]
@@ -125,6 +127,10 @@ class Lab(LabModel):
             raise InputError(problem(file, "photometry", "another kind of file", wanted))
         return record
 
+    def display_table(self) -> DisplayTable | None:
+        """The measured table that pictures are encoded with; None: sRGB."""
+        return table_of(self.photometry_record())
+
     def encoding_name(self) -> str:
         """How code becomes luminance: 'measured table (sha256 ...)' or 'sRGB (assumed)'."""
         record = self.photometry_record()
@@ -132,6 +138,14 @@ class Lab(LabModel):
             return "sRGB (assumed)"
         digest = hashlib.sha256(json.dumps(record["luminance_cd_m2"]).encode()).hexdigest()
         return f"measured table (sha256 {digest[:12]})"
+
+
+def table_of(photometry: Mapping[str, Any] | None) -> DisplayTable | None:
+    """The display table of a photometry record (a lab's, or that of a session's certificate); None where there is
+    none. Raises InputError where its luminances do not rise."""
+    if photometry is None:
+        return None
+    return table_from_samples(photometry["codes"], photometry["luminance_cd_m2"])
 
 
 def find_lab(named: str | Path | None, folder: Path) -> Lab:

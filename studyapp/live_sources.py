@@ -21,6 +21,7 @@ from renderers.technique import ViewGeometry
 from stimuli.camera_path import PATH_NAMES
 from stimuli.clip import ClipStore
 from stimuli.clip_job import ClipJob
+from stimuli.encode import DisplayTable
 from stimuli.errors import InputError, problem
 from stimuli.load import load_scene
 from studyapp.clips import settled_exposure
@@ -40,7 +41,10 @@ class LiveLog:
 class LiveSources:
     """Makes a `LiveSource` for each live specification, once; `begin` it before each trial, `logs` it afterwards."""
 
-    def __init__(self, study: Study, beside: Path, store: ClipStore, gaze: GazeSource | None) -> None:
+    def __init__(
+        self, study: Study, beside: Path, store: ClipStore, gaze: GazeSource | None, table: DisplayTable | None = None
+    ) -> None:
+        self._table = table
         self._study, self._beside, self._store, self._gaze = study, beside, store, gaze
         self._engines: dict[tuple[str, str | None, str], tuple[Any, Any, Any]] = {}
         self._sources: dict[ClipSpec, LiveSource] = {}
@@ -76,7 +80,7 @@ class LiveSources:
         view = LiveView(
             camera, spec.size_px, Fraction(spec.rate_hz), spec.frame_count, Fraction(spec.start_s), geometry,
             exposure=exposure if spec.exposure is None else spec.exposure, warm_up_s=Fraction(spec.warm_up_s),
-            seed=spec.seed,
+            seed=spec.seed, table=self._table,
         )  # fmt: skip
         return LiveSource(made, view, self._gaze)
 

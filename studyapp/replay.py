@@ -15,6 +15,7 @@ from protocols.trial import Trial
 from stimuli.clip import ClipStore
 from stimuli.errors import InputError, problem
 from studyapp.clips import store_directory
+from studyapp.lab_file import table_of
 from studyapp.live_sources import LiveSources, RecordedGaze
 from studyapp.session_file import read_header
 from studyapp.session_header import sha256_text
@@ -44,11 +45,12 @@ def replay(
         raise InputError(problem(name, "protocol", sha256_text(text)[:12], wanted))
     trial = Trial.from_dict(header["plan"][planned])
     clips = ClipStore(store_directory(name, store))
+    table = table_of(header["certificate"].get("photometry"))
     results = {}
     for payload, frames in logs:
         slot = str(payload["slot"])
         gaze = RecordedGaze(frames)
-        source = LiveSources(study, library_path(name).parent, clips, gaze).source(trial, slot)
+        source = LiveSources(study, library_path(name).parent, clips, gaze, table).source(trial, slot)
         digest = ""
         for row in gaze.rows:
             codes = source.frame(int(row["frame"]))

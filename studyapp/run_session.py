@@ -98,7 +98,7 @@ def run_session(request: RunRequest) -> RunDone:
         print(f"note: {earlier[-1]} was interrupted (--resume goes on with it); this is a new run", file=sys.stderr)
     kind = request.display or lab.display.kind
     used = _different_samples(study, request.overrides)
-    sources, clip_rows = _sources(request, study, kind)
+    sources, clip_rows = _sources(request, study, lab, kind)
     if isinstance(sources, StoredSources):
         trials = sources.planned(trials) if before is None else before.plan
         used += sources.check(trials, request.overrides)
@@ -110,7 +110,7 @@ def run_session(request: RunRequest) -> RunDone:
         stack.callback(display.close)
         style = session_style(study, lab)
         certificate = certify(
-            display, 480, declared=lab.display.declared, encoding=lab.encoding_name(),
+            display, 480, light=_light(display, lab), declared=lab.display.declared, encoding=lab.encoding_name(),
             photometry=lab.photometry_record(), background_code=style.background, priority=priority,
         )  # fmt: skip
         # Writer, readers and emulators are started from here on, and are to stay ordinary processes.
@@ -323,6 +323,15 @@ def _permitted(request: RunRequest, study: Study, certificate: Certificate) -> l
     return require_lock(certificate, Fraction(study.display.refresh_hz), overrides, request.simulated)
 
 
+def _light(display: Display, lab: Lab) -> dict[str, Any] | None:
+    """Flip to light, measured now, where the lab has a sensor and the display has light."""
+    if lab.sensor is None or display.context() is None:
+        return None
+    from studyapp.light_sensor import measure_light
+
+    return measure_light(display, lab.sensor.port)
+
+
 def _different_samples(study: Study, overrides: Mapping[str, str]) -> list[dict[str, str]]:
     """The override that was needed, if one was; InputError for conditions that show the same without it."""
     alike = same_samples_problems(study)
@@ -332,12 +341,14 @@ def _different_samples(study: Study, overrides: Mapping[str, str]) -> list[dict[
     return [{"check": SAME_SAMPLES_OVERRIDE, "reason": reason}] if alike else []
 
 
-def _sources(request: RunRequest, study: Study, kind: str) -> tuple[Sources, Callable[[], list[tuple[str, str, str]]]]:
+def _sources(
+    request: RunRequest, study: Study, lab: Lab, kind: str
+) -> tuple[Sources, Callable[[], list[tuple[str, str, str]]]]:
     """Where frames come from, and what the session's ``clips`` will say of them."""
     if kind == "virtual":
         manifests = Manifests(study)
         return manifests, manifests.rows
-    stored = StoredSources(study, request.protocol, request.store)
+    stored = StoredSources(study, request.protocol, request.store, lab.display_table())
     return stored, stored.rows
 
 

@@ -8,10 +8,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from protocols.load import library_path
+from protocols.requests import ClipSpec
 from protocols.study import Study
 from protocols.trial import Trial
 from stimuli.clip import ClipStore
+from stimuli.clip_request import ClipRequest
+from stimuli.encode import DisplayTable
 from stimuli.errors import InputError, problem
+from stimuli.play_cache import PlayCache, PlayedClip
 from studyapp.clips import (
     StudyClips,
     clip_record,
@@ -32,11 +36,14 @@ LUMINANCE_OVERRIDE = "luminance"
 
 
 class StoredSources:
-    """Slot -> frames for each trial, played from the store (``given``: --store). Raises InputError where scenes are
-    nowhere."""
+    """Slot -> frames for each trial, played from the store (``given``: --store), encoded for ``table`` (None: sRGB).
+    Raises InputError where scenes are nowhere."""
 
-    def __init__(self, study: Study, protocol: str | Path, given: Path | None) -> None:
+    def __init__(
+        self, study: Study, protocol: str | Path, given: Path | None, table: DisplayTable | None = None
+    ) -> None:
         self._study = study
+        self._table = table
         self._protocol = protocol
         self._store = ClipStore(store_directory(protocol, None if given is None else str(given)))
         self._clips: StudyClips = resolve_clips(study, protocol, self._store)
@@ -48,6 +55,15 @@ class StoredSources:
     def notes(self) -> tuple[str, ...]:
         """What stands in for what."""
         return self._clips.notes
+
+    @property
+    def requests(self) -> Mapping[ClipSpec, ClipRequest]:
+        """Every stored clip of the study."""
+        return self._clips.requests
+
+    def played(self, identity: str) -> PlayedClip:
+        """The frames of one clip from the play cache, which is filled where it is not."""
+        return PlayCache(self._store).played(self._store.open(identity))
 
     def planned(self, trials: Sequence[Trial]) -> tuple[Trial, ...]:
         """The trials with their clips named."""
@@ -77,7 +93,7 @@ class StoredSources:
         for panel in trial.panels:
             if panel.clip:
                 self._used[panel.clip] = None
-        frames: dict[str, FrameSource] = dict(sources_for(trial, self._store))
+        frames: dict[str, FrameSource] = dict(sources_for(trial, self._store, self._table))
         self._shown = {}
         for panel in trial.panels:
             if panel.live:
@@ -88,7 +104,7 @@ class StoredSources:
         """Live panels follow this gaze (None: the panel's centre)."""
         from studyapp.live_sources import LiveSources
 
-        self._live = LiveSources(self._study, library_path(self._protocol).parent, self._store, gaze)
+        self._live = LiveSources(self._study, library_path(self._protocol).parent, self._store, gaze, self._table)
 
     def _rendered(self, trial: Trial, slot: str) -> LiveSource:
         if self._live is None:
@@ -105,9 +121,10 @@ class StoredSources:
         logs = [log_of(source, number, slot) for slot, source in self._shown.items()]
         return [(log.payload, log.frames) for log in logs]
 
-    def rows(self) -> list[tuple[str, str, str]]:
-        """(identity, manifest, cost) of each clip shown, for the session's ``clips``."""
-        records = [clip_record(self._store.open(identity)) for identity in self._used]
+    def rows(self, identities: Sequence[str] | None = None) -> list[tuple[str, str, str]]:
+        """(identity, manifest, cost) of each clip shown (or of those given), for the session's ``clips``."""
+        shown = self._used if identities is None else identities
+        records = [clip_record(self._store.open(identity)) for identity in shown]
         return [
             (
                 str(record["clip"]),

@@ -12,6 +12,7 @@ from PIL import Image
 from protocols.design import plan
 from protocols.load import load_study
 from stimuli.clip import ClipStore
+from stimuli.encode import linear_from_srgb, table_from_samples
 from stimuli.errors import InputError
 from studyapp.cli import main
 from studyapp.clips import (
@@ -24,6 +25,7 @@ from studyapp.clips import (
     store_problems,
     with_clips,
 )
+from studyapp.stored_sources import StoredSources
 from tests.stimuli.test_clip import DAMAGE, files_of
 
 PROTOCOL = """
@@ -115,6 +117,18 @@ def test_check_compares_the_luminance_of_what_was_made(copied, capsys):
     assert main(["check", str(strict)]) == 0
     assert main(["check", str(copied), "--store", str(copied.parent / "nowhere")]) == 0
     assert not (copied.parent / "nowhere").exists()
+
+
+def test_a_measured_display_gets_codes_for_its_own_light(copied):
+    study = load_study(copied)
+    table = table_from_samples([0, 255], [0.0, 80.0])
+    plain, measured = (StoredSources(study, copied, None, given) for given in (None, table))
+    (trial,) = [trial for trial in plain.planned(plan(study, 1)) if trial.panels]
+    codes, asked = (sources(trial)[trial.panels[0].slot].frame(2)[..., :3] for sources in (plain, measured))
+    light = 255 * linear_from_srgb(codes / 255)
+    # Between two sRGB codes there are at most 255 * 2.3 / 255 = 2.3 linear ones.
+    np.testing.assert_allclose(asked, light, atol=1.7)
+    assert np.abs(asked.astype(int) - codes).max() > 20
 
 
 def test_read_rate_is_measured(tmp_path):

@@ -40,6 +40,12 @@ def test_a_live_trial_is_recorded_and_replayed_bit_exact(tmp_path: Path, capsys:
     protocol, data = tmp_path / "mixed.yaml", tmp_path / "data"
     protocol.write_text(STUDY)
     assert main(["render", str(protocol), "--workers", "1"]) == 0
+    # A display whose light is proportional to its code, and a sensor on the light patch.
+    light = {"date": "2026-01-01", "codes": [0, 255], "luminance_cd_m2": [0.0, 100.0]}
+    (tmp_path / "light.json").write_text(json.dumps(light))
+    (tmp_path / "lab.yaml").write_text(
+        "display: {kind: offscreen}\nphotometry: {file: light.json}\nsensor: {port: emulated}\n"
+    )
     overrides = [f"--override={check}=a test on a shared machine" for check in
                  ("display_lock", "gaze_validation", "gaze_latency")]  # fmt: skip
     arguments = ["run", str(protocol), "--participant", "1", "--display", "offscreen", "--observer", "simulated"]
@@ -48,6 +54,10 @@ def test_a_live_trial_is_recorded_and_replayed_bit_exact(tmp_path: Path, capsys:
     db = sqlite3.connect(path)
     (validation,) = db.execute("SELECT payload FROM events WHERE kind='validation'").fetchone()
     assert json.loads(validation)["targets"] == 5
+    certificate = json.loads(db.execute("SELECT value FROM header WHERE key='certificate'").fetchone()[0])
+    assert certificate["encoding"].startswith("measured table")
+    assert certificate["onset"] == "onset by light sensor"
+    assert certificate["light"]["edges"] > 900
     ((payload, raw),) = db.execute("SELECT payload, raw FROM events WHERE device='live'").fetchall()
     number = json.loads(payload)["trial"]
     frames = np.frombuffer(raw, LIVE_DTYPE)
