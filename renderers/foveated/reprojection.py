@@ -64,7 +64,8 @@ def resolve(
     p: Foveated, grid: SupportGrid, names: tuple[str, ...], place: Any, old: dict[str, Any], support: dict[str, Any],
     seed: Any, new: dict[str, Any],
 ) -> dict[str, Any]:  # fmt: skip
-    """Every pixel from the last picture, or from the support image where that has nothing.
+    """Every pixel from the last picture, or from the support image where that has nothing. Lanes in scanline order: in
+    tile order this takes 1.4 times as long.
 
     ``names``: the pictures to carry over (``old`` and ``support`` have them), filtered by ``n_fp`` normal taps in the
     pixel's footprint; ``info`` is fetched nearest, and its age grows by 1 (rho 0: filled from the support image).

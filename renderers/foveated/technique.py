@@ -132,7 +132,12 @@ class Foveated:
     def _trace(
         self, state: EngineState, pixel: Any, texel_of: Any, seed: Any, support: dict[str, Any]
     ) -> tuple[dict[str, Any], dict[str, Any], Any, Any]:
-        """A sample a lane; those of the support image are written there, with the G-buffer."""
+        """A sample a lane; those of the support image are written there, with the G-buffer.
+
+        Lanes keep the 8x8 tile order, and rays their coherent mode, although 84 % of the pixels are missing: 120 ms
+        (274k lanes, point light, loaded machine) against 139 to 154 in tiles of 4, 16, 32 and Morton order, 232 if not
+        coherent.
+        """
         width = self.size_px[0]
         y = pixel // width
         ray = self.engine.camera_ray(state, mi.Float(pixel - y * width) + 0.5, mi.Float(y) + 0.5)

@@ -34,7 +34,11 @@ def grid_strips(columns: int, rows: int) -> np.ndarray:
 
 
 class MeshRasteriser:
-    """Draws a grid mesh of ``columns`` x ``rows`` vertices into ``size_px``; `close` frees its context."""
+    """Draws a grid mesh of ``columns`` x ``rows`` vertices into ``size_px``; `close` frees its context.
+
+    On llvmpipe its cost is the number of triangles: at 1182x1464 half as many a side take half the time, a target of
+    half the size 0.9 of it; RG32F, RG16, RG32UI and RGBA32F differ by less than a third (35, 34, 40, 46 ms).
+    """
 
     def __init__(self, size_px: tuple[int, int], columns: int, rows: int) -> None:
         self.size_px = size_px
