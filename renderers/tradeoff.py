@@ -22,6 +22,7 @@ import numpy as np
 from renderers.catalogue import CATALOGUE, TECHNIQUES, entry
 from renderers.clip_frames import scene_exposure, technique_params, view_at
 from renderers.engine import Engine
+from renderers.jod import JodMetric
 from renderers.metrics import pixels_per_degree, sequence_error
 from renderers.motion_picture import MotionPicture
 from renderers.technique import Frame, Gaze, Measure, ViewGeometry
@@ -183,8 +184,10 @@ def shown_by(engine: Engine, camera: CameraPath, setting: Setting, exposure: flo
     return Shown(colors, seconds, rays)
 
 
-def measure_setting(engine: Engine, camera: CameraPath, setting: Setting, gold: Gold, c: Conditions) -> dict[str, Any]:
-    """One row: what ``setting`` costs a refresh and how far it is from the gold standard."""
+def measure_setting(
+    engine: Engine, camera: CameraPath, setting: Setting, gold: Gold, c: Conditions, jod: JodMetric | None = None
+) -> dict[str, Any]:
+    """One row: what ``setting`` costs a refresh and how far it is from the gold standard (with ``jod``, in JOD too)."""
     shown = shown_by(engine, camera, setting, gold.exposure, c)
     seconds, rays = shown.seconds, shown.rays
     pictures = [display_values(color, gold.exposure).astype(np.float32) for color in shown.colors]
@@ -209,6 +212,8 @@ def measure_setting(engine: Engine, camera: CameraPath, setting: Setting, gold: 
         "rmse_by_refresh": list(error.rmse_by_refresh),
         "rmse_eyes": math.sqrt((error.rmse_still**2 + error.rmse_tracking**2) / 2),
     }
+    if jod is not None:
+        row["jod"] = jod.of(np.array(pictures), gold.values, c.rate_hz)
     row["stages_ms"] = _stages(engine, camera, setting, gold.exposure, c)
     row["precision"] = {
         kind: asdict(what) for kind, what in precision_errors(shown.colors, gold.values, gold.exposure).items()

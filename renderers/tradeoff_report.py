@@ -35,11 +35,12 @@ def with_ratios(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 def table(rows: Sequence[Mapping[str, Any]]) -> str:
     """Aligned text; errors x 255; a star marks the Pareto front of cost and error (both eyes)."""
     front = set(pareto_front(rows))
-    cells = [["", *(title for title, _, _ in _COLUMNS)]]
+    columns = [*_COLUMNS, *([("JOD", "jod", "{:.2f}")] if any("jod" in row for row in rows) else [])]
+    cells = [["", *(title for title, _, _ in columns)]]
     for i, row in enumerate(rows):
         line = ["*" if i in front else " "]
-        for _, name, form in _COLUMNS:
-            value = row[name]
+        for _, name, form in columns:
+            value = row.get(name)
             if value is None:
                 line.append("-")
                 continue
@@ -113,12 +114,13 @@ def precision(rows: Sequence[Mapping[str, Any]]) -> str:
 
 def write_csv(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
     """One line a row; parameters and rays as JSON text."""
-    names = [name for name in rows[0] if name not in ("key", "rmse_by_refresh")] if rows else []
+    names = list(dict.fromkeys(name for row in rows for name in row if name not in ("key", "rmse_by_refresh")))
     with path.open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(names)
         for row in rows:
-            writer.writerow([json.dumps(row[n]) if isinstance(row[n], dict | list) else row[n] for n in names])
+            values = [row.get(name) for name in names]
+            writer.writerow([json.dumps(value) if isinstance(value, dict | list) else value for value in values])
 
 
 def plot(rows_by_scene: Mapping[str, Sequence[Mapping[str, Any]]], path: Path, size_px: tuple[int, int]) -> None:

@@ -45,6 +45,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--out", type=Path, default=Path("tradeoff"), metavar="DIR", help="rows, table, plot (default: tradeoff)"
     )
     parser.add_argument("--fresh", action="store_true", help="measure anew what DIR already holds")
+    parser.add_argument("--jod", action="store_true", help="ColorVideoVDP too (an optional extra: pip install cvvdp)")
     parser.add_argument("--json", action="store_true", help="print JSON instead of the table")
 
 
@@ -79,7 +80,10 @@ def rational(text: str, where: str) -> Fraction:
 def run(args: argparse.Namespace) -> int:
     """Measure what is not yet there, write everything, print the table."""
     from renderers import tradeoff, tradeoff_report
+    from renderers.jod import require_jod
 
+    if args.jod:
+        require_jod()
     budgets = [number(part, "--budget") for part in args.budget.split(",") if part]
     if is_table1(args):
         return _table1(args, budgets or [1e5, 4e5, 8e5])
@@ -172,6 +176,7 @@ def scene_rows(name: str, args: argparse.Namespace, settings: list[Any], conditi
 
     from renderers import tradeoff, tradeoff_report
     from renderers.engine import Engine
+    from renderers.jod import JodMetric
     from stimuli import load_scene
     from stimuli.camera_path import camera_path
     from stimuli.clip_request import ENGINE_VERSION
@@ -183,13 +188,19 @@ def scene_rows(name: str, args: argparse.Namespace, settings: list[Any], conditi
     camera = camera_path(scene, args.path or default)
     file = tradeoff.RowFile(args.out / "rows.jsonl")
     keys = [tradeoff.RowFile.key(scene, camera, setting, conditions, ENGINE_VERSION) for setting in settings]
-    missing = [k for k, key in enumerate(keys) if args.fresh or key not in file.rows]
+    jod_wanted = getattr(args, "jod", False)
+    missing = [
+        k
+        for k, key in enumerate(keys)
+        if args.fresh or key not in file.rows or (jod_wanted and "jod" not in file.rows[key])
+    ]
     if missing:
         with tqdm(total=conditions.frames + len(missing), desc=Path(name).stem, disable=None) as bar:
             engine = Engine(scene, lighting=args.lighting)
             gold = tradeoff.gold_standard(engine, camera, conditions, bar.update)
+            jod = JodMetric(conditions.size_px, gold.ppd) if jod_wanted else None
             for k in missing:
                 bar.set_postfix_str(settings[k].label)
-                file.add(keys[k], tradeoff.measure_setting(engine, camera, settings[k], gold, conditions))
+                file.add(keys[k], tradeoff.measure_setting(engine, camera, settings[k], gold, conditions, jod))
                 bar.update(1)
     return tradeoff_report.with_ratios([file.rows[key] for key in keys])
