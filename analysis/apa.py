@@ -105,7 +105,10 @@ def _scale(result: Result, row: Mapping[str, Any]) -> str:
 def _coefficient(result: Result, row: Mapping[str, Any]) -> str:
     statistic = f"t({number(row['df'], 1)}) = {number(row['t'], 2)}" if "t" in row else f"z = {number(row['z'], 2)}"
     estimate = f"b = {number(row['estimate'], 2)}, SE = {number(row['se'], 2)}"
-    return f"{result.test.name}, {row['term']}: {estimate}, {statistic}, {p_words(row['p'])}."
+    p = p_words(row["p"])
+    if np.isfinite(row.get("p_lr", np.nan)):
+        p = f"likelihood-ratio {p_words(row['p_lr'])}"
+    return f"{result.test.name}, {row['term']}: {estimate}, {statistic}, {p}."
 
 
 def _wilcoxon(result: Result, row: Mapping[str, Any]) -> str:

@@ -92,12 +92,19 @@ def cumulative_link(
 
 
 def binomial_mixed(
-    table: pd.DataFrame, formula: str, random: str | Sequence[str] | None = None, link: str = "logit", nodes: int = 21
+    table: pd.DataFrame,
+    formula: str,
+    random: str | Sequence[str] | None = None,
+    link: str = "logit",
+    nodes: int = 21,
+    likelihood_ratio: bool = False,
 ) -> pd.DataFrame:
     """Logistic (or probit) regression of a true/false answer with a random intercept per participant.
 
     ``formula`` 'chosen ~ a * b'; the response is boolean, 0 / 1, or two levels of which the second counts as success.
     Terms in R's names, ``(Intercept)`` first; ``random``, ``nodes``, ``attrs`` and statuses as in ``cumulative_link``.
+    ``likelihood_ratio``: each term is also tested by the fit without it (columns ``p_lr``, ``log10_p_lr``, chi-square
+    on 1 df), which keeps the 5 % better than Wald's z with a dozen participants (tests.prove.statistics_calibration).
     """
     one_of("binomial_mixed", "link", link, LINKS[:2])
     frame = model_frame("binomial_mixed", table, formula, random)
@@ -122,8 +129,22 @@ def binomial_mixed(
     bounds = Bounds(np.where(one[:, None], 0.0, -x), np.where(one[:, None], -x, 0.0), one, ~one, np.ones(len(y)))
     what = f"Binomial {link} model, {formula}"
     if not len(y):
-        return _nothing(frame, [*labels, *aliased], UNDEFINED, "no valid answer", what)
-    return _fit(frame, bounds, np.zeros(len(used)), labels, aliased, link, nodes, 0, what, np.ones(len(used)))
+        made = _nothing(frame, [*labels, *aliased], UNDEFINED, "no valid answer", what)
+        return made.assign(p_lr=math.nan, log10_p_lr=math.nan) if likelihood_ratio else made
+    made = _fit(frame, bounds, np.zeros(len(used)), labels, aliased, link, nodes, 0, what, np.ones(len(used)))
+    if not likelihood_ratio:
+        return made
+    made["p_lr"], made["log10_p_lr"] = math.nan, math.nan
+    for k in np.flatnonzero(made["status"].isin([OK, BOUNDARY]) & made["term"].isin(labels)):
+        rest = [j for j in range(len(used)) if j != k]
+        without = Bounds(bounds.upper[:, rest], bounds.lower[:, rest], one, ~one, bounds.weight)
+        names = [labels[j] for j in rest]
+        null = _fit(frame, without, np.zeros(len(rest)), names, [], link, nodes, 0, what, np.ones(len(rest)))
+        gain = 2 * (made.attrs["log_likelihood"] - null.attrs["log_likelihood"])
+        # the square root of chi-square on 1 df is the absolute value of z
+        root = math.sqrt(max(gain, 0.0)) if not math.isnan(gain) else math.nan
+        made.loc[k, ["p_lr", "log10_p_lr"]] = [p_z(root), log10_z(root)]
+    return made
 
 
 def _plain(level: Any) -> str:

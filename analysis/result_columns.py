@@ -29,6 +29,7 @@ _TERM: Columns = (
     ("t", "t", "f2"),
     ("z", "z", "f2"),
     ("p", "p", "p"),
+    ("p_lr", "p (likelihood ratio)", "p"),
     ("p_family", "p family", "p"),
 )  # fmt: skip
 

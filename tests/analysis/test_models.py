@@ -210,3 +210,16 @@ def test_psychometric_jackknife_sees_participants_that_differ() -> None:
     people = analysis.psychometric(table, "x", "k", "n", observer="who").iloc[0]
     assert people["estimate"] == pytest.approx(alone["estimate"], rel=1e-9)
     assert people["se"] > 3 * alone["se"]
+
+
+def test_likelihood_ratio_of_a_logistic_regression_is_its_deviance() -> None:
+    """One two-level factor without random effects: G squared of the 2 x 2 table, in closed form."""
+    counts = {("a", 1): 12, ("a", 0): 8, ("b", 1): 5, ("b", 0): 15}
+    rows = [(x, y) for (x, y), n in counts.items() for _ in range(n)]
+    table = pd.DataFrame(rows, columns=["x", "y"])
+    made = analysis.binomial_mixed(table, "y ~ x", likelihood_ratio=True).set_index("term")
+    observed = np.array([[12.0, 8.0], [5.0, 15.0]])
+    expected = np.outer(observed.sum(axis=1), observed.sum(axis=0)) / observed.sum()
+    g2 = 2 * float(np.sum(observed * np.log(observed / expected)))
+    assert made.loc["xb", "p_lr"] == pytest.approx(stats.chi2.sf(g2, 1), rel=1e-8)
+    assert 10 ** made.loc["xb", "log10_p_lr"] == pytest.approx(made.loc["xb", "p_lr"], rel=1e-10)

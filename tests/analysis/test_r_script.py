@@ -62,7 +62,7 @@ def test_anova_is_that_of_r(r_tables: tuple[pd.DataFrame, dict[str, pd.DataFrame
     np.testing.assert_allclose(theirs["ges"], ours["eta2_generalized"], rtol=1e-9)
     np.testing.assert_allclose(theirs["pes"], ours["eta2_partial"], rtol=1e-9)
     corrected = np.where(ours["df1"] > 1, ours["p_gg"], ours["p"])
-    np.testing.assert_allclose(theirs["Pr..F."], corrected, rtol=1e-7)
+    np.testing.assert_allclose(theirs["Pr(>F)"], corrected, rtol=1e-7)
 
 
 def test_pairs_and_friedman_are_those_of_r(r_tables: tuple[pd.DataFrame, dict[str, pd.DataFrame]]) -> None:
@@ -83,7 +83,7 @@ def test_mixed_model_is_that_of_lmertest(r_tables: tuple[pd.DataFrame, dict[str,
     ours = ours.set_index("term").loc[theirs.index]
     # lme4's optimiser stops at 1e-6 or so of the variances
     np.testing.assert_allclose(theirs["Estimate"], ours["estimate"], rtol=1e-6, atol=1e-9)
-    np.testing.assert_allclose(theirs["Std..Error"], ours["se"], rtol=1e-3)
+    np.testing.assert_allclose(theirs["Std. Error"], ours["se"], rtol=1e-3)
     np.testing.assert_allclose(theirs["df"], ours["df"], rtol=1e-2)
 
 

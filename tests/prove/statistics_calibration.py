@@ -152,8 +152,10 @@ def _cumulative(t: pd.DataFrame) -> dict[str, float]:
 
 
 def _binomial(t: pd.DataFrame) -> dict[str, float]:
-    made = analysis.binomial_mixed(t[t["pair"] == 0], "chosen ~ 1", random="participant", nodes=9)
-    return {"binomial_mixed p": _hit(made), "binomial_mixed interval": _missed(made, 0, "ci_low", "ci_high")}
+    one = t[t["pair"] == 0]
+    made = analysis.binomial_mixed(one, "chosen ~ 1", random="participant", nodes=9, likelihood_ratio=True)
+    found = {"binomial_mixed likelihood ratio p": _hit(made, 0, "p_lr"), "binomial_mixed Wald p": _hit(made)}
+    return found | {"binomial_mixed interval": _missed(made, 0, "ci_low", "ci_high")}
 
 
 def measured(n: int, observers: Observers, rng: np.random.Generator) -> pd.DataFrame:
