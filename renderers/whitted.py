@@ -1,6 +1,6 @@
 """What one ray sees: its visible hit, the light that leaves it, and the light through mirrors and see-through surfaces.
 
-Whitted 1980: at each hit one shadow ray a light, then on along the mirror direction (depth 3, then dropped) and straight
+Whitted 1980: at each hit one shadow ray a light, then on along the mirror direction (depth 3, then none) and straight
 through what can be seen through. Called inside kernels; see `renderers.engine` for spaces and units.
 """
 

@@ -126,5 +126,6 @@ def test_no_index_address_or_machine_path_is_in_the_tree() -> None:
 @pytest.mark.parametrize("package", ["stimuli", "renderers", "protocols", "analysis"])
 def test_no_public_name_is_hidden_by_a_module_of_the_same_name(package: str) -> None:
     public = __import__(package).__all__
-    modules = {path.stem for path in (ROOT / package).glob("*.py")} | {p.name for p in (ROOT / package).iterdir() if p.is_dir()}
+    inside = ROOT / package
+    modules = {path.stem for path in inside.glob("*.py")} | {path.name for path in inside.iterdir() if path.is_dir()}
     assert set(public) & modules == set()
