@@ -15,8 +15,7 @@ from protocols.cells import block_cells
 from protocols.names import Problem
 from protocols.requests import ClipSpec, clip_spec, possible_trials
 from protocols.study import Study
-from renderers.catalogue import CATALOGUE, sampling_probability
-from renderers.technique import ViewGeometry
+from renderers.catalogue import CATALOGUE, ViewGeometry, sampling_probability
 from stimuli.errors import problem
 
 SAME_SAMPLES = 0.01
