@@ -36,7 +36,7 @@ from studyapp.present.frame_loop import ask_realtime, children_stay_normal, leav
 from studyapp.present.overlay import Style, style_on
 from studyapp.present.presenter import Presenter
 from studyapp.resume import Interrupted, answers_so_far, interrupted, mend, next_session_path, session_paths, unfinished
-from studyapp.seams import Display
+from studyapp.seams import Display, FrameSource
 from studyapp.session import Progress, Session, SessionStopped, Sources, finish
 from studyapp.session_devices import SessionCalibration, SessionDevices, emulated_devices, lab_devices
 from studyapp.session_header import session_header, sha256_text
@@ -219,7 +219,14 @@ def _run(request: RunRequest, ready: Prepared) -> RunDone:
         if devices.gaze is not None and not isinstance(ready.display, VirtualDisplay):
             watched = FixationWatch(devices.gaze)
         runner = TrialRunner(presenter, devices.answers, respondent, rules, watched)
-        session = Session(log, runner, ready.sources, devices.reconnect, study.timing.requeue, on_trial, before_commit)
+
+        def sources(trial: Trial) -> Mapping[str, FrameSource]:
+            frames = ready.sources(trial)
+            if isinstance(ready.sources, StoredSources):
+                presenter.disk_bytes_s = ready.sources.disk_bytes_s
+            return frames
+
+        session = Session(log, runner, sources, devices.reconnect, study.timing.requeue, on_trial, before_commit)
         if is_adaptive(study):
             shown = _run_adaptive(session, log, request, ready, trials, progress)
         else:

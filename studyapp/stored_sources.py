@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import psutil
+
 from protocols.load import library_path
 from protocols.requests import ClipSpec
 from protocols.study import Study
@@ -20,6 +22,7 @@ from studyapp.clips import (
     StudyClips,
     clip_record,
     luminance_problems,
+    measured_read_rate,
     resolve_clips,
     sources_for,
     store_directory,
@@ -32,7 +35,13 @@ if TYPE_CHECKING:  # the ray engine is loaded only where a panel is live
     from studyapp.live_sources import LiveSources
     from studyapp.present.live import LiveSource
 
+DISK_SAMPLE_BYTES = 1 << 28
 LUMINANCE_OVERRIDE = "luminance"
+
+
+def free_memory_bytes() -> int:
+    """Memory that programs can have now."""
+    return int(psutil.virtual_memory().available)
 
 
 class StoredSources:
@@ -44,6 +53,7 @@ class StoredSources:
     ) -> None:
         self._study = study
         self._table = table
+        self.disk_bytes_s: float | None = None
         self._protocol = protocol
         self._store = ClipStore(store_directory(protocol, None if given is None else str(given)))
         self._clips: StudyClips = resolve_clips(study, protocol, self._store)
@@ -93,7 +103,13 @@ class StoredSources:
         for panel in trial.panels:
             if panel.clip:
                 self._used[panel.clip] = None
-        frames: dict[str, FrameSource] = dict(sources_for(trial, self._store, self._table))
+        played = sources_for(trial, self._store, self._table)
+        # Where memory is short, the presenter asks what the disk gives (a rate that `sources_for` has found enough).
+        self.disk_bytes_s = None
+        if played and sum({s.path: s.byte_count for s in played.values()}.values()) > 0.8 * free_memory_bytes():
+            largest = max(played.values(), key=lambda source: source.byte_count)
+            self.disk_bytes_s = measured_read_rate(largest.path, DISK_SAMPLE_BYTES)
+        frames: dict[str, FrameSource] = dict(played)
         self._shown = {}
         for panel in trial.panels:
             if panel.live:

@@ -131,6 +131,17 @@ def test_a_measured_display_gets_codes_for_its_own_light(copied):
     assert np.abs(asked.astype(int) - codes).max() > 20
 
 
+def test_clips_beyond_four_fifths_of_memory_tell_the_presenter_the_disks_rate(rendered, monkeypatch):
+    sources = StoredSources(load_study(rendered), rendered, None)
+    (trial,) = [trial for trial in sources.planned(plan(load_study(rendered), 1)) if trial.panels]
+    sources(trial)
+    assert sources.disk_bytes_s is None
+    monkeypatch.setattr("studyapp.stored_sources.free_memory_bytes", lambda: 12_000)
+    sources(trial)
+    assert sources.disk_bytes_s is not None
+    assert sources.disk_bytes_s > 1e6
+
+
 def test_read_rate_is_measured(tmp_path):
     (tmp_path / "file").write_bytes(bytes(1 << 20))
     assert 1e6 < measured_read_rate(tmp_path / "file", 1 << 28) < 1e12
