@@ -22,6 +22,7 @@ from renderers.vanilla import Vanilla
 from stimuli.errors import InputError
 from stimuli.procedural.shapes import matte, part, sphere
 from stimuli.scene import Light, Mover, Scene, StillCamera
+from tests.renderers.polar.rooms import cornell
 from tests.renderers.scenes import noise_pixels, scene_of, unlit
 from tests.renderers.scenes import quad as textured_quad
 from tests.renderers.scenes_by_hand import box, diffuse, look_at, quad
@@ -231,6 +232,35 @@ def test_a_moving_light_is_where_it_is_now() -> None:
     brightest = [int(show(technique, k).color[..., 0].max(axis=0).argmax()) for k in range(5)]
     assert brightest[0] == brightest[1] == brightest[2] < 25
     assert brightest[3] == brightest[4] > 38
+
+
+def test_probes_bring_bounced_light_by_name_or_by_the_clips_lighting() -> None:
+    room = cornell()
+    size = (24, 24)
+    settings = {"grid": (4, 4, 4), "rays": 64}
+    frames = {
+        "none": show(polar(room, size, quality=64, width=64, height=64)),
+        "by name": show(polar(room, size, quality=64, width=64, height=64, probes=True, probe_settings=settings)),
+    }
+    engine = Engine(room, lighting="probes")
+    frames["lighting"] = show(Polar(engine, size, Parameters(quality=64, width=64, height=64), 0, "total"))
+    cartesian = show(Vanilla(engine, size, VanillaParameters(light_samples=64), 0, "total"))
+    light = {name: float(frame.color.mean()) for name, frame in frames.items()}
+    assert light["by name"] > 1.2 * light["none"]
+    assert light["lighting"] == pytest.approx(light["by name"], rel=0.1)
+    assert cartesian.color.mean() == pytest.approx(light["lighting"], rel=0.05)  # the same for every technique
+    assert frames["by name"].rays["probe"] >= 64 * 64
+    assert frames["none"].rays["probe"] == 0
+    assert frames["by name"].rays["ambient_occlusion"] > 0
+
+
+def test_a_live_gaze_and_a_changing_width_record_no_kernel_anew() -> None:
+    technique = polar(replace(wall_of_noise(), camera=Path(lambda t: turn(9 * np.sin(9 * t)))), (48, 36), quality=1)
+    gazes = np.random.default_rng(2).uniform(-30, 30, (40, 2))
+    for k, gaze in enumerate(gazes):
+        assert np.isfinite(show(technique, k, tuple(gaze)).color).all()
+    kernels = (technique._trace_kernel, technique._mark_kernel, technique._resolve_kernel)
+    assert max(kernel.recordings for kernel in kernels) <= 6
 
 
 # Headset --------------------------------------------------------------------------------------------------------------
