@@ -23,6 +23,7 @@ _COLUMNS = (
     ("flicker", "flicker", "{:.2f}"),
 )
 _CODES = {"rmse_still", "rmse_tracking", "flicker"}  # shown in display codes, x 255
+_COLORS = (*(f"C{k}" for k in range(10)), "black", "gold", "navy")
 _MARKERS = "osD^v<>pPX*hd"
 
 
@@ -129,7 +130,7 @@ def plot(rows_by_scene: Mapping[str, Sequence[Mapping[str, Any]]], path: Path, s
     from matplotlib.figure import Figure
 
     count = len(rows_by_scene)
-    figure = Figure(figsize=(6.4 * count, 5.2), layout="constrained")
+    figure = Figure(figsize=(6.4 * count + 2.2, 5.2), layout="constrained")
     FigureCanvasAgg(figure)
     names = sorted({row["technique"] for rows in rows_by_scene.values() for row in rows})
     for k, (scene, rows) in enumerate(rows_by_scene.items()):
@@ -139,7 +140,7 @@ def plot(rows_by_scene: Mapping[str, Sequence[Mapping[str, Any]]], path: Path, s
             axes.plot(
                 [row["ms_per_refresh"] for row in own],
                 [row["rmse_eyes"] * 255 for row in own],
-                _MARKERS[n % len(_MARKERS)], color=f"C{n % 10}", label=name, alpha=0.85, markersize=6,
+                _MARKERS[n % len(_MARKERS)], color=_COLORS[n % len(_COLORS)], label=name, alpha=0.85, markersize=6,
             )  # fmt: skip
         front = [rows[i] for i in pareto_front(rows)]
         axes.step(
@@ -155,6 +156,7 @@ def plot(rows_by_scene: Mapping[str, Sequence[Mapping[str, Any]]], path: Path, s
         axes.set_title(f"{scene}, {size_px[0]}x{size_px[1]}")
         axes.set_ylim(bottom=0)
         axes.grid(alpha=0.3)
-        if k == count - 1:
-            axes.legend(fontsize=8, loc="upper right")
+    handles = {h: label for axes in figure.axes for h, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+    once = {label: h for h, label in handles.items()}
+    figure.legend(list(once.values()), list(once), fontsize=8, loc="outside right upper")
     figure.savefig(path, dpi=130)
