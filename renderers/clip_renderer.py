@@ -254,7 +254,8 @@ class ClipRenderer:
             yield from self._averaged(request, unit, scene, camera, engine)
             return
         technique = self._technique(request, engine, request.seed)
-        before = 0 if known is not None and known.stateless else warm_up_frames(request)
+        alone = known is not None and known.stateless and request.lighting != "probes"  # probes remember
+        before = 0 if alone else warm_up_frames(request)
         for k in range(unit.first - before, unit.stop):
             view = view_of(request, scene, camera, k, before, cut=k == unit.first - before)
             frame = technique.render(view)

@@ -59,9 +59,13 @@ def samples_per_pixel(request: ClipRequest) -> int | None:
 
 
 def units_of(request: ClipRequest) -> tuple[Unit, ...]:
-    """The units of a clip, as the catalogue's entry of its technique allows."""
+    """The units of a clip, as the catalogue's entry of its technique allows.
+
+    Light probes remember frames, so only what averages (and lets them settle for each frame) is divided with them.
+    """
     entry = CATALOGUE.get(request.technique)
-    return plan_units(request, entry is not None and entry.stateless, samples_per_pixel(request))
+    divided = entry is not None and entry.stateless and (entry.averages or request.lighting != "probes")
+    return plan_units(request, divided, samples_per_pixel(request))
 
 
 def _samples(request: ClipRequest, unit: Unit) -> int:
