@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from renderers.backend import mi
+from renderers.clip_frames import view_at
 from renderers.engine import Engine
 from renderers.frozen import opaque_float
 from renderers.mitsuba_scene import mitsuba_scene
-from renderers.clip_frames import view_at
 from renderers.vanilla import frame_lanes
 from stimuli.scene import Scene
 

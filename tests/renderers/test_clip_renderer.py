@@ -138,7 +138,9 @@ def test_moving_gaze_is_the_direction_of_the_scenes_target(scene):
     camera = StillCamera(np.eye(4), np.pi / 2)
     with_target = replace(scene, movers=(Mover("fixation target", (), StillTrack(matrix)),))
     request = job(scene, gaze="moving").request
-    assert gaze_of(request, with_target, camera, Fraction(0)) == pytest.approx((45.0, np.degrees(np.arctan2(1, np.sqrt(2)))))
+    assert gaze_of(request, with_target, camera, Fraction(0)) == pytest.approx(
+        (45.0, np.degrees(np.arctan2(1, np.sqrt(2))))
+    )
     # on a screen: half height 0.2 m at 1 m, the target stands at its upper right corner
     flat = replace(request, geometry=(0.4, 0.4, 1.0, 0.0, 0.0))
     assert gaze_of(flat, with_target, camera, Fraction(0)) == pytest.approx(

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from renderers import TECHNIQUES, render_clip
-from renderers.engine import Engine
 from renderers.clip_frames import scene_exposure, view_at
+from renderers.engine import Engine
 from stimuli.errors import InputError
 from stimuli.scene import Light, Mover
 from tests.renderers.scenes_by_hand import Drift, box, crowd, diffuse, quad, scene
