@@ -20,6 +20,8 @@ from stimuli.errors import problem
 
 SAME_SAMPLES = 0.01
 """Two conditions whose frames differ in a smaller share of their samples show the same thing."""
+GRID_PX = 256
+"""Shares are taken over a grid of at most so many points a side: larger panels are no smoother."""
 SAME_SAMPLES_OVERRIDE = "same_samples"
 
 
@@ -98,7 +100,7 @@ def same_samples_problems(study: Study) -> list[str]:
 
 
 def _densities(study: Study) -> list[_Density]:
-    """Each gaze-contingent condition of each block once a panel size, where the display's geometry says where it is."""
+    """Each gaze-contingent condition of each block once, where the display's geometry says where it is."""
     if study.display.geometry != "screen":
         return []
     made: dict[tuple[str, str, str], _Density] = {}
@@ -115,9 +117,11 @@ def _densities(study: Study) -> list[_Density]:
             asked = (panel.technique, spec.params, spec.size_px)
             if asked not in chances:
                 geometry = ViewGeometry(*study.display.panel_m(spec.size_px), study.display.distance_m)
-                chance = sampling_probability(panel.technique, params, spec.size_px, geometry)
+                factor = min(1.0, GRID_PX / max(spec.size_px))
+                grid = (max(1, round(spec.size_px[0] * factor)), max(1, round(spec.size_px[1] * factor)))
+                chance = sampling_probability(panel.technique, params, grid, geometry)
                 assert chance is not None
                 chances[asked] = chance
-            key = (trial.block, panel.condition, others)
+            key = (trial.block, panel.condition, f"{others} {spec.size_px}")
             made.setdefault(key, _Density(panel.condition, trial.block, spec, others, chances[asked]))
     return list(made.values())

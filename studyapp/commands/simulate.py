@@ -26,6 +26,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--first", type=int, default=1, metavar="N", help="first participant number (default 1)")
     parser.add_argument("--data", type=Path, default=Path("data"), metavar="DIR", help="session files go here")
     parser.add_argument("--seed", type=int, default=None, help="of the observers (default: the protocol's)")
+    parser.add_argument("--observer", choices=("model", "pictures"), default="model",
+                        help="model: the utilities of the protocol's observer; pictures: a metric of the frames shown, "
+                             "from rendered clips")  # fmt: skip
+    parser.add_argument("--store", default=None, metavar="DIR", help="clips, for --observer pictures")
     parser.add_argument("--jobs", type=int, default=None, metavar="N", help="processes (default: one a core)")
 
 
@@ -39,16 +43,20 @@ def run(args: argparse.Namespace) -> int:
     args.data.mkdir(parents=True, exist_ok=True)
     numbers = list(range(args.first, args.first + args.participants))
     seed = study.seed if args.seed is None else args.seed
+    pictures = args.observer == "pictures"
     jobs = max(1, min(args.jobs or os.cpu_count() or 1, len(numbers)))
     shares = [numbers[job::jobs] for job in range(jobs)]
     bar = tqdm(total=len(numbers), unit="session", desc=f"simulating {study.study}", leave=False, disable=None)
     try:
         if jobs == 1:
-            paths = simulate_share(args.protocol, numbers, str(args.data), seed)
+            paths = simulate_share(args.protocol, numbers, str(args.data), seed, pictures, args.store)
             bar.update(len(paths))
         else:
             with ProcessPoolExecutor(jobs, mp_context=spawn_context()) as pool:
-                waiting = [pool.submit(simulate_share, args.protocol, s, str(args.data), seed) for s in shares]
+                waiting = [
+                    pool.submit(simulate_share, args.protocol, s, str(args.data), seed, pictures, args.store)
+                    for s in shares
+                ]
                 paths = []
                 for share in waiting:
                     paths += share.result()
@@ -61,9 +69,11 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def simulate_share(protocol: str, participants: list[int], folder: str, seed: int) -> list[str]:
+def simulate_share(
+    protocol: str, participants: list[int], folder: str, seed: int, pictures: bool = False, store: str | None = None
+) -> list[str]:
     """Simulate these participants in this process; the paths of their session files."""
     from studyapp.simulate_session import Simulation
 
-    simulation = Simulation(protocol, seed)
+    simulation = Simulation(protocol, seed, pictures, store)
     return [str(simulation.session(number, Path(folder))) for number in participants]
