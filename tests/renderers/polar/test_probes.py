@@ -13,7 +13,9 @@ from renderers.mitsuba_scene import mitsuba_scene
 from renderers.parameters import Probes
 from renderers.polar.octahedral import border_sources, decode, encode, look_up, padded_index, texel_direction
 from renderers.polar.probes import ProbeGrid, fibonacci, random_rotation, scene_box
+from renderers.produce import units_of
 from renderers.space import tracer_space
+from stimuli.clip_request import ClipRequest
 from stimuli.errors import InputError
 from stimuli.scene import Light
 from tests.renderers.polar.rooms import cornell, furnace, irradiance_at, probed, state_at, wall
@@ -230,3 +232,13 @@ def test_impossible_grids_are_refused() -> None:
     for grid in ((0, 4, 4), (4, 4, 65)):
         with pytest.raises(InputError, match="grid"):
             ProbeGrid(engine, Probes(grid=grid))
+
+
+def test_clips_lit_by_probes_are_one_unit_but_for_the_reference() -> None:
+    def units(technique: str, lighting: str, **params: object) -> int:
+        request = ClipRequest("room", "0" * 64, technique, params, (640, 480), "240", "8", lighting=lighting)
+        return len(units_of(request))
+
+    assert units("vanilla", "probes") == 1
+    assert units("vanilla", "direct") > 1
+    assert units("reference", "probes", spp=16) == units("reference", "direct", spp=16) > 1
