@@ -25,7 +25,7 @@ Measure = Literal["total", "stages"]
 
 @dataclass(frozen=True)
 class ViewGeometry:
-    """A flat screen area seen from ``distance_m``; ``offset_m`` moves its centre (right, up) from the eye's foot point."""
+    """A flat screen area seen from ``distance_m``; its centre is ``offset_m`` (right, up) of the eye's foot point."""
 
     width_m: float
     height_m: float
@@ -98,8 +98,9 @@ class Technique(Protocol):
     name: ClassVar[str]
     Params: ClassVar[type[BaseModel]]
 
-    def __init__(self, engine: Engine, size_px: tuple[int, int], params: BaseModel, seed: int, measure: Measure) -> None:
-        ...
+    def __init__(
+        self, engine: Engine, size_px: tuple[int, int], params: BaseModel, seed: int, measure: Measure
+    ) -> None: ...
 
     def reset(self, seed: int) -> None:
         """Forget all history; the same views then give the same frames, byte for byte."""
