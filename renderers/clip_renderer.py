@@ -25,6 +25,7 @@ from renderers.catalogue import CATALOGUE, TECHNIQUES, entry
 from renderers.clip_frames import technique_params
 from renderers.eccentricity import gaze_at
 from renderers.engine import Engine
+from renderers.fixation_target import with_fixation_target
 from renderers.reference import ReferenceRenderer
 from renderers.render_unit import RenderedFrame
 from renderers.technique import Frame, Gaze, Technique, View, ViewGeometry
@@ -91,7 +92,10 @@ def keyed_camera(scene: Scene, keys: str) -> CameraPath:
 
 
 def scene_and_camera(job: ClipJob) -> tuple[Scene, CameraPath]:
-    """What the clip shows. InputError where the scene is not the one that the request names."""
+    """What the clip shows, with a fixation target where the eye is to follow one and the scene has none.
+
+    InputError where the scene is not the one that the request names.
+    """
     request = job.request
     scene = load_scene(job.scene_file, animation=request.animation)
     if scene.sha256 != request.scene_sha256:
@@ -101,6 +105,10 @@ def scene_and_camera(job: ClipJob) -> tuple[Scene, CameraPath]:
         camera = keyed_camera(scene, job.path_keys)
     else:
         camera = camera_path(scene, request.path if request.path in PATH_NAMES else job.path_file or request.path)
+    if request.gaze == "moving":
+        scene = with_fixation_target(
+            scene, camera, float(Fraction(request.start_s)), float(Fraction(request.duration_s))
+        )
     return closed_loop(scene, camera, request) if request.loop == "closed" else (scene, camera)
 
 
