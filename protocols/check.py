@@ -11,7 +11,7 @@ from itertools import combinations
 from protocols.adaptive import procedure
 from protocols.blocks import WORD_KINDS, Block
 from protocols.design import column, plan
-from protocols.gaze_demands import BelowFullRate, below_full_rate
+from protocols.gaze_demands import SAME_SAMPLES, BelowFullRate, below_full_rate
 from protocols.requests import ClipSpec, clip_specs
 from protocols.session_size import size_of_block
 from protocols.study import Study
@@ -74,6 +74,7 @@ def summarise(study: Study, participants: Sequence[int] | None = None) -> Summar
     sizes = [px * spec.frame_count for px, spec in zip(pixels, stored, strict=True)]
     shown = [trial for trial in first if trial.panels]
     blocks = tuple(_block(study, block, plans) for block in study.blocks if block.kind not in WORD_KINDS)
+    below = below_full_rate(study)
     learning = [block for block in blocks if block.adaptive]
     return Summary(
         study=study.study,
@@ -87,8 +88,8 @@ def summarise(study: Study, participants: Sequence[int] | None = None) -> Summar
         play_bytes=sum(sizes) * PLAY_BYTES_PER_PX,
         upload_bytes=max((_upload(trial) for trial in shown), default=0),
         largest_trial_bytes=max((_trial_bytes(trial) for trial in shown), default=0),
-        notes=tuple(_notes(study, clips)),
-        below_full_rate=below_full_rate(study),
+        notes=(*_notes(study, clips), *(_all_full(row) for row in below if row.share < SAME_SAMPLES)),
+        below_full_rate=below,
     )
 
 
@@ -115,6 +116,10 @@ def _trial_bytes(trial: Trial) -> int:
     width, height = trial.settings["size_px"]
     frames = sum(round(Fraction(str(trial.settings["duration_s"])) * Fraction(panel.rate_hz)) for panel in trial.panels)
     return int(width) * int(height) * PLAY_BYTES_PER_PX * frames
+
+
+def _all_full(row: BelowFullRate) -> str:
+    return f"condition {row.condition}: {row.share:.1%} of its pixels below full rate: it shows what full rate shows"
 
 
 def first_adaptive_trial(study: Study, block: Block, participant: int = 1) -> Trial | None:

@@ -9,6 +9,8 @@ import sqlite3
 import time
 from pathlib import Path
 
+import pytest
+
 from protocols.adaptive import procedure
 from protocols.load import load_study
 from studyapp.cli import main
@@ -51,6 +53,20 @@ def test_a_simulated_session_follows_the_procedure(tmp_path: Path) -> None:
         except StopIteration:
             break
     assert json.loads(json.dumps([trial.as_dict() for trial in trials])) == stored
+
+
+def test_check_and_plan_say_that_trials_are_made_as_the_answers_come(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    protocol = tmp_path / "adaptive.yaml"
+    protocol.write_text(ADAPTIVE)
+    assert main(["check", str(protocol)]) == 0
+    out = capsys.readouterr().out
+    assert "152 trials each" in out
+    assert "block pairs (forced_choice): at most 150 trials, made as the answers come (active_pairs)" in out
+    assert main(["plan", str(protocol), "--participant", "1"]) == 0
+    said = capsys.readouterr().out
+    assert "at most 150 trials, made as the answers come (active_pairs)" in said
 
 
 def test_a_killed_adaptive_session_goes_on_where_the_procedure_stood(tmp_path: Path) -> None:
