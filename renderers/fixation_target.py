@@ -1,8 +1,8 @@
 """The moving fixation target of Weier et al. 2016 (section 4): a green sphere at scene depth on a smooth path.
 
-The paper gives neither path nor size. Ours: a Lissajous figure (3 : 2) of +-`REACH` half fields in `PERIOD_S`, carried by
-the camera; the sphere subtends `SIZE_DEG` and stands at `NEARNESS` of the least depth that the scene has along the
-path, so that nothing ever hides it. A scene that brings a mover called target keeps its own.
+The paper gives neither path nor size. Ours: a Lissajous figure (3 : 2) of +-`REACH` half fields in `PERIOD_S`, which
+the camera carries along; the sphere subtends `SIZE_DEG` and stands at `NEARNESS` of the least depth that the scene has
+along the path, so that nothing hides it. A scene that brings a mover called target keeps its own.
 """
 
 from __future__ import annotations
