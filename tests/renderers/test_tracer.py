@@ -98,14 +98,16 @@ def test_no_rays_and_no_scene() -> None:
 
 def test_one_kernel_serves_all_ray_counts() -> None:
     tracer = Tracer(scene((box((0, 0, 0), (1, 1, 1), diffuse()),), crowd(3)))
-    for count in (1, 3, 7, 61, 101, 997):
+    # 15 launches of other widths; a width may be recorded apart where it is 1 or that of another array, or where
+    # memory lies otherwise, never because it is new
+    for count in (1, 3, 5, 7, 9, 11, 13, 17, 19, 23, 27, 61, 101, 997):
         origin, direction = rays(count)
         hits = tracer.trace(origin, direction, np.linspace(0, 1, count))
         assert (
             np.isclose(hits.t, expected(tracer.scene, origin, direction, np.linspace(0, 1, count))[0], rtol=1e-5).mean()
             > 0.98
         )
-    assert tracer._hits_kernel.recordings <= 4
+    assert tracer._hits_kernel.recordings <= 6
 
 
 def test_bad_meshes_and_rays_are_named() -> None:
