@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from renderers.backend import dr, mi
+from renderers.clip_frames import view_at
 from renderers.engine import Engine, EngineState
 from renderers.frozen import Frozen, frozen
 from renderers.mitsuba_scene import diffuse_only, mitsuba_scene
-from renderers.clip_frames import view_at
 from renderers.vanilla import frame_lanes
 from stimuli.scene import Scene
 

@@ -1,4 +1,4 @@
-"""The command line: ``studyapp COMMAND``. A command is a module in `studyapp.commands`; a module that is there is listed.
+"""The command line: ``studyapp COMMAND``. A command is a module in `studyapp.commands`; what is there is listed.
 
 Exit codes: 0 done, 1 the job failed, 2 the user's input is wrong (one line each, no traceback).
 """
@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from importlib import import_module
 from types import ModuleType
 
-from studyapp import commands
 from stimuli.errors import InputError
+from studyapp import commands
 
 
 class JobFailed(RuntimeError):

@@ -155,9 +155,9 @@ def settled_exposure(job: ClipJob, scene: Scene, store: ClipStore) -> float:
             return float(json.loads(path.read_text())["exposure"])
         except (ValueError, KeyError, TypeError):
             path.unlink()  # damaged: measured again
+    from renderers.clip_frames import scene_exposure
     from renderers.clip_renderer import scene_and_camera
     from renderers.engine import Engine
-    from renderers.clip_frames import scene_exposure
 
     loaded, camera = scene_and_camera(job)
     exposure = scene_exposure(Engine(loaded, lighting=request.lighting), camera, Fraction(request.start_s))  # type: ignore[arg-type]
