@@ -164,13 +164,13 @@ def gaze_of(request: ClipRequest, scene: Scene, camera: CameraPath, t1: Fraction
     """Where the eye looks at ``t1``: the request's fixed direction, or the scene's fixation target ('moving')."""
     if request.gaze != "moving":
         return request.gaze if isinstance(request.gaze, tuple) else None
-    targets = [mover for mover in scene.movers if "target" in mover.name.lower()]
-    if not targets:
+    target = scene.fixation_target
+    if target is None:
         raise InputError(
             problem(request.scene, "moving gaze", "no mover called target", "a scene with a fixation target")
         )
     at = np.array([float(t1)])
-    own = np.linalg.inv(camera.pose(at)[0]) @ targets[0].track.pose(at)[0][:, 3]
+    own = np.linalg.inv(camera.pose(at)[0]) @ target.track.pose(at)[0][:, 3]
     if own[2] >= 0:
         raise InputError(
             problem(request.scene, "moving gaze", f"the target is behind the eye at {float(t1):g} s", "in front")

@@ -49,7 +49,7 @@ def directions(yfov_rad: float, since_start_s: np.ndarray) -> np.ndarray:
 
 def with_fixation_target(scene: Scene, camera: CameraPath, start_s: float, duration_s: float) -> Scene:
     """``scene`` with a target to follow from ``start_s`` on; the scene itself where it has one."""
-    if any("target" in mover.name.lower() for mover in scene.movers):
+    if scene.fixation_target is not None:
         return scene
     depth = NEARNESS * least_depth(scene, camera, start_s, duration_s)
     radius = depth * math.tan(math.radians(SIZE_DEG / 2))

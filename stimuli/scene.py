@@ -219,6 +219,11 @@ class Scene:
     skins: tuple[Skin, ...] = ()
 
     @property
+    def fixation_target(self) -> Mover | None:
+        """The mover that an observer is to follow: the first with 'target' in its name; None where there is none."""
+        return next((mover for mover in self.movers if "target" in mover.name.lower()), None)
+
+    @property
     def triangle_count(self) -> int:
         """Triangles of all parts, static and moving."""
         parts = [*self.static, *(part for mover in self.movers for part in mover.parts)]

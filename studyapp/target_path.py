@@ -39,7 +39,7 @@ class TargetRecord:
 
 def fixation_target(scene: Scene) -> PoseTrack | None:
     """The track of the mover that is looked at; None where the scene has none."""
-    return next((mover.track for mover in scene.movers if "target" in mover.name.lower()), None)
+    return None if scene.fixation_target is None else scene.fixation_target.track
 
 
 def path_on_screen(

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, Literal, Protocol
 
-from protocols.trial import Question, Trial
+from protocols.trial import Question, Trial, is_right
 from studyapp.gaze.fixation import DriftCheck, Fixation, FixationWatch
 from studyapp.present.frame_loop import MissPolicy
 from studyapp.present.presenter import Answer, Presenter, TrialShown
@@ -203,7 +203,7 @@ class TrialRunner:
     def _feedback(self, trial: Trial, answers: Mapping[str, Answer]) -> None:
         first = answers.get(trial.questions[0].name)
         if first is not None:
-            right = answer_is_right(trial, first.answer)
+            right = trial.correct is not None and is_right(trial.correct, first.answer)
             self.presenter.show_words(self.rules.right if right else self.rules.wrong, None, duration_s=1.0)
 
     def _words(self, trial: Trial, number: int, attempt: int) -> TrialDone:
@@ -234,14 +234,6 @@ def planned_row(
         factors=json.dumps(data["factors"], sort_keys=True), onset_ns=onset_ns, offset_ns=offset_ns,
         refreshes=refreshes, missed=missed, replays=0, status=status, observer_kind=observer_kind,
     )  # fmt: skip
-
-
-def answer_is_right(trial: Trial, answer: str | None) -> bool:
-    """Is ``answer`` the catch trial's right one? ``correct`` is a slot, or 'LOW..HIGH' for ratings."""
-    if answer is None or trial.correct is None:
-        return False
-    low, dots, high = trial.correct.partition("..")
-    return float(low) <= float(answer) <= float(high) if dots else answer == trial.correct
 
 
 def _response(trial: Trial, question: Question, answer: Answer, number: int, onset_ns: int, device: str) -> ResponseRow:
