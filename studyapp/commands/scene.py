@@ -1,12 +1,17 @@
-"""``studyapp scene``: what a scene is and requires, a contact sheet along its path, a technique's debug pictures."""
+"""``studyapp scene``: what a scene is and requires, a contact sheet along its path, a technique's debug pictures, and
+camera paths flown by hand."""
 
 from __future__ import annotations
 
 import argparse
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-HELP = "what a scene holds and requires, a contact sheet, debug pictures of a technique"
+if TYPE_CHECKING:
+    from stimuli.scene import CameraPath, Scene
+
+HELP = "what a scene holds and requires, a contact sheet, debug pictures of a technique; record a camera path"
 EXAMPLE = "studyapp scene toy_car --preview out.png"
 _NAMED = 3  # of the things that require a feature
 
@@ -27,11 +32,21 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", metavar="FILE.png", type=Path, help="where --show writes (default: SCENE_WHAT.png)")
     parser.add_argument("--size", metavar="WxH", default="480x270", help="of --show (default 480x270)")
     parser.add_argument("--frames", metavar="N", type=int, default=24, help="--show shows the N-th frame (default 24)")
-    parser.add_argument("--start", metavar="S", default="1", help="scene second of frame 0 of --show (default 1)")
+    parser.add_argument(
+        "--start",
+        metavar="S",
+        default=None,
+        help="scene second of frame 0 of --show (default 1) or of --record-path (0)",
+    )
     parser.add_argument("--animation", metavar="NAME", help="which of the file's animations (default: the first)")
     parser.add_argument(
         "--path", default="file", metavar="PATH", help="file | still | sway | toycar | interactive | a file of keys"
     )
+    parser.add_argument(
+        "--record-path", metavar="FILE.yaml", type=Path, help="fly through the scene in a window and write the path's "
+        "keys: W A S D E Q and the mouse steer, Space begins, Escape ends",
+    )  # fmt: skip
+    parser.add_argument("--keys-a-second", metavar="HZ", type=float, default=20.0, help="of --record-path (default 20)")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -59,15 +74,15 @@ def run(args: argparse.Namespace) -> int:
         print(f"wrote {args.preview}")
     if args.show is not None:
         _write_debug_picture(args, scene, camera)
+    if args.record_path is not None:
+        _record(args, scene, camera)
     return 0
 
 
-def _print_requirements(scene: object) -> None:
+def _print_requirements(scene: Scene) -> None:
     """A line a feature: required or not, what it is, and the first things that need it."""
     from renderers.requirements import reasons
-    from stimuli.scene import Scene
 
-    assert isinstance(scene, Scene)
     for reason in reasons(scene):
         because = ", ".join(reason.because[:_NAMED])
         if len(reason.because) > _NAMED:
@@ -78,16 +93,14 @@ def _print_requirements(scene: object) -> None:
     print("  ambient occlusion and probes are asked for by a clip's lighting, not by the scene")
 
 
-def _write_debug_picture(args: argparse.Namespace, scene: object, camera: object) -> None:
+def _write_debug_picture(args: argparse.Namespace, scene: Scene, camera: CameraPath) -> None:
     """Write what --show names."""
     from PIL import Image
 
     from renderers.debug_pictures import colored, debug_picture, plot_decisions, value_range
     from stimuli.errors import InputError, problem
-    from stimuli.scene import CameraPath, Scene
     from studyapp.commands.tradeoff import rational, size
 
-    assert isinstance(scene, Scene)
     out = args.out or Path(f"{scene.name}_{args.show}.png")
     if out.suffix.lower() != ".png":
         raise InputError(problem("--out", "picture file", out, "a name ending in .png"))
@@ -97,11 +110,33 @@ def _write_debug_picture(args: argparse.Namespace, scene: object, camera: object
         plot_decisions(out)
         print(f"wrote {out}")
         return
-    path: CameraPath = camera  # type: ignore[assignment]
     shown = debug_picture(
-        scene, args.technique, args.show, size(args.size), path,
-        start_s=rational(args.start, "--start"), frames=args.frames,
+        scene, args.technique, args.show, size(args.size), camera,
+        start_s=rational(args.start or "1", "--start"), frames=args.frames,
     )  # fmt: skip
     Image.fromarray(colored(shown)).save(out)
     low, high = value_range(shown)
     print(f"wrote {out} ({args.show} of {args.technique}, values {low:g} to {high:g})")
+
+
+def _record(args: argparse.Namespace, scene: Scene, camera: CameraPath) -> None:
+    """Fly in a window; what was flown goes to --record-path."""
+    from stimuli.errors import InputError, problem
+    from stimuli.path_recording import fly, write_path_keys
+    from studyapp.commands.tradeoff import rational
+    from studyapp.flight_window import HELP as KEYS
+    from studyapp.flight_window import GlfwFlight
+
+    out: Path = args.record_path
+    if out.suffix not in (".yaml", ".yml") or not out.parent.is_dir():
+        raise InputError(problem("--record-path", "file", out, "a name ending in .yaml, in a folder that exists"))
+    start_s = float(rational(args.start or "0", "--start"))
+    window = GlfwFlight(scene, camera.yfov_rad)
+    print(KEYS)
+    try:
+        keys = fly(scene, camera, window, args.keys_a_second, start_s)
+    finally:
+        window.close()
+    about = f"Flown by hand in {scene.name} (studyapp scene --record-path); edit, add and remove keys as you like."
+    write_path_keys(out, keys, camera.yfov_rad, about)
+    print(f"wrote {out}: {len(keys)} keys, {keys[-1].time_s - keys[0].time_s:g} s from second {start_s:g} of the scene")
