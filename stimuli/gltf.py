@@ -14,15 +14,16 @@ from typing import Any
 import numpy as np
 
 from stimuli.errors import InputError, problem
-from stimuli.gltf_animation import Channel, NodeTrack, Rig, RigNode, compose, unit
+from stimuli.gltf_animation import NodeTrack, Rig, RigNode, compose, unit
 from stimuli.gltf_buffers import Document, open_document
+from stimuli.gltf_channels import WIDTHS, read_animation
 from stimuli.gltf_lights import punctual_light
 from stimuli.gltf_materials import MaterialReader
 from stimuli.gltf_meshes import ReadPrimitive, read_primitive
-from stimuli.gltf_skins import SkinTrack
-from stimuli.scene import CameraPath, Light, Mover, Part, PoseTrack, Primitive, Skin, StillCamera
+from stimuli.gltf_morphs import WeightTrack
+from stimuli.gltf_skins import MorphTrack, SkinTrack
+from stimuli.scene import CameraPath, Light, Mover, Part, PoseTrack, Primitive, Skin, StillCamera, VertexTrack
 
-_WIDTH = {"translation": 3, "rotation": 4, "scale": 3}
 _REST = {"translation": (0.0, 0.0, 0.0), "rotation": (0.0, 0.0, 0.0, 1.0), "scale": (1.0, 1.0, 1.0)}
 
 
@@ -93,7 +94,9 @@ class _Reader:
         self._arrays: dict[tuple[int, bool], Primitive] = {}
         self._parts: dict[int, list[Part]] = {}
         self._content = GltfContent(document.path, notes=document.notes, digest=document.digest)
-        self._channels = self._read_channels(animation)
+        played = read_animation(document, animation)
+        self._content.animation = played.name
+        self._channels, self._weights = played.channels, played.weights
         self._animated = {channel.node for channel in self._channels}
         # Per visited node: nearest animated node (itself included; -1: none) and the matrix from there to it.
         self._anchor: dict[int, tuple[int, np.ndarray]] = {}
@@ -110,7 +113,9 @@ class _Reader:
         ]
         materials = [part.material for part in [*content.static, *(p for m in content.movers for p in m.parts)]]
         content.has_phong = any(material.phong is not None for material in materials)
-        content.duration_s = max((float(channel.times_s[-1]) for channel in self._channels), default=0.0)
+        ends = [float(channel.times_s[-1]) for channel in self._channels]
+        ends += [float(track.times_s[-1]) for node, track in self._weights.items() if node in self._anchor]
+        content.duration_s = max(ends, default=0.0)
         for node, (animated, below) in self._anchor.items():
             name = str(self._nodes[node].get("name", f"node {node}"))
             content.node_poses.setdefault(name, (self._rig, animated, below))
@@ -128,61 +133,6 @@ class _Reader:
     def _world_at_start(self, node: int) -> np.ndarray:
         animated, below = self._anchor[node]
         return below if animated < 0 else self._start[self._rig.row[animated]] @ below
-
-    # --- animations ---
-
-    def _read_channels(self, wanted: str | None) -> list[Channel]:
-        document = self._document
-        animations = document.items("animations")
-        names = [str(entry.get("name", f"animation {i}")) for i, entry in enumerate(animations)]
-        if wanted is not None and wanted not in names:
-            raise InputError(
-                problem(document.path, "animation", repr(wanted), f"one of {' | '.join(names) or '(none)'}")
-            )
-        if not animations:
-            return []
-        chosen = 0 if wanted is None else names.index(wanted)
-        if wanted is None and len(names) > 1:
-            document.note(f"{document.path.name}: {len(names)} animations, the first ({names[0]}) is played")
-        self._content.animation = names[chosen]
-        channels = []
-        for number, channel in enumerate(animations[chosen].get("channels", [])):
-            target = channel.get("target", {})
-            path, node = target.get("path"), target.get("node")
-            if path == "weights":
-                document.note(
-                    f"{document.path.name}: morph weights are not animated; the mesh keeps its resting weights"
-                )
-            elif path not in _WIDTH or node is None:
-                document.note(
-                    f"{document.path.name}: animation channel of {path!r} without a node to move is not played"
-                )
-            else:
-                document.item("nodes", node, "animation channel")
-                where = f"{document.path}: animation {names[chosen]!r} channel {number}"
-                channels.append(self._read_channel(animations[chosen], channel, node, path, where))
-        return channels
-
-    def _read_channel(
-        self, animation: dict[str, Any], channel: dict[str, Any], node: int, path: Any, where: str
-    ) -> Channel:
-        sampler = animation["samplers"][channel["sampler"]]
-        kind = sampler.get("interpolation", "LINEAR")
-        times = self._document.array(sampler["input"])[:, 0]
-        values = self._document.array(sampler["output"])
-        width = _WIDTH[path]
-        if kind not in ("LINEAR", "STEP", "CUBICSPLINE"):
-            raise InputError(problem(where, "interpolation", kind, "LINEAR | STEP | CUBICSPLINE"))
-        if not len(times) or not np.isfinite(times).all() or (np.diff(times) < 0.0).any():
-            raise InputError(problem(where, "key times", "none, unsorted or nan", "increasing finite seconds"))
-        per_key = 3 if kind == "CUBICSPLINE" else 1
-        if values.shape != (len(times) * per_key, width):
-            got, wanted = f"{values.shape[0]} x {values.shape[1]}", f"{len(times) * per_key} x {width}"
-            raise InputError(problem(where, f"{path} keys", got, wanted))
-        if not np.isfinite(values).all():
-            raise InputError(problem(where, f"{path} keys", "nan or inf", "finite numbers"))
-        shaped = values.reshape(len(times), 3, width) if per_key == 3 else values
-        return Channel(node, path, times, shaped, kind, times_key=int(sampler["input"]))
 
     # --- nodes ---
 
@@ -241,7 +191,16 @@ class _Reader:
         mirrored = bool(np.linalg.det(self._world_at_start(node)[:3, :3]) < 0.0)
         for name, primitive in self._mesh_primitives(entry):
             if "skin" in entry and primitive.joints is not None:
-                self._read_skinned(name, primitive, entry["skin"])
+                self._read_skinned(name, primitive, entry["skin"], self._weights.get(node))
+                continue
+            if node in self._weights and primitive.targets is not None:
+                for copy in self._instances(entry):
+                    flip = mirrored != bool(np.linalg.det(copy[:3, :3]) < 0.0)
+                    row = -1 if animated < 0 else self._rig.row[animated]
+                    faces = primitive.indices[:, ::-1] if flip else primitive.indices
+                    track = self._weights[node].narrowed(len(primitive.targets.position_steps))
+                    morph = MorphTrack(primitive.targets, track, faces.astype(np.int64), self._rig, row, below @ copy)
+                    self._add_deforming(name, primitive, faces, morph)
                 continue
             target = self._content.static if animated < 0 else self._parts.setdefault(animated, [])
             for copy in self._instances(entry):
@@ -259,7 +218,7 @@ class _Reader:
             return np.eye(4)[None]
         count = len(next(iter(given.values())))
         parts = {key: given.get(key, np.tile(rest, (count, 1))) for key, rest in _REST.items()}
-        if any(values.shape != (count, _WIDTH[key]) for key, values in parts.items()):
+        if any(values.shape != (count, WIDTHS[key]) for key, values in parts.items()):
             got = ", ".join(f"{key} {values.shape}" for key, values in parts.items())
             raise InputError(problem(self._document.path, "EXT_mesh_gpu_instancing", got, f"{count} of each"))
         return compose(parts["translation"], unit(parts["rotation"]), parts["scale"])
@@ -277,7 +236,7 @@ class _Reader:
                 base = str(node.get("name", mesh.get("name", f"mesh {index}")))
                 yield (base if number == 0 else f"{base}#{number}"), primitive
 
-    def _read_skinned(self, name: str, primitive: ReadPrimitive, skin_index: int) -> None:
+    def _read_skinned(self, name: str, primitive: ReadPrimitive, skin_index: int, weights: WeightTrack | None) -> None:
         skin = self._document.item("skins", skin_index, "node")
         joints = list(skin.get("joints", []))
         assert primitive.joints is not None
@@ -295,20 +254,30 @@ class _Reader:
             bind = stored[: len(joints)]
         anchors = [self._anchor[joint] for joint in joints]
         rows = np.array([-1 if animated < 0 else self._rig.row[animated] for animated, _ in anchors])
-        track = SkinTrack(primitive, self._rig, rows, np.stack([below for _, below in anchors]), bind)
+        morph = None
+        if weights is not None and primitive.targets is not None:
+            morph = weights.narrowed(len(primitive.targets.position_steps))
+        track = SkinTrack(primitive, self._rig, rows, np.stack([below for _, below in anchors]), bind, morph)
+        moves = bool((rows >= 0).any()) or morph is not None
+        self._add_deforming(name, primitive, primitive.indices, track, moves)
+
+    def _add_deforming(
+        self, name: str, primitive: ReadPrimitive, faces: np.ndarray, track: VertexTrack, moves: bool = True
+    ) -> None:
+        """A part as it is at 0 s, and (where it moves) the track of its vertices."""
         positions, normals = track.vertices(0.0)
         mesh = Primitive(
             positions=positions,
             normals=normals,
             texcoord_0=primitive.texcoord,
             color_0=primitive.color,
-            indices=primitive.indices,
+            indices=faces,
             material=primitive.material.pbr,
         )
-        if (rows >= 0).any():
+        if moves:
             self._content.skins.append(Skin(len(self._content.static), track))
             self._document.note(
-                f"{self._document.path.name}: skinned meshes stand as at 0 s where vertices are not updated"
+                f"{self._document.path.name}: skinned and morphing meshes are as at 0 s where vertices are not updated"
             )
         self._content.static.append(Part(name, mesh, primitive.material, np.eye(4), positions))
 

@@ -10,6 +10,7 @@ import numpy as np
 from stimuli.errors import InputError, problem
 from stimuli.gltf_buffers import Document, refuse_extensions
 from stimuli.gltf_materials import MaterialReader, TextureUse
+from stimuli.gltf_morphs import MorphTargets
 from stimuli.scene import Material, Primitive
 
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
@@ -18,7 +19,8 @@ _MODE_NAMES = {0: "points", 1: "lines", 2: "line loops", 3: "line strips"}
 
 @dataclass(frozen=True)
 class ReadPrimitive:
-    """One glTF primitive: float64 vertex arrays, triangles (F, 3), its material, and its joints where it is skinned."""
+    """One glTF primitive: float64 vertex arrays, triangles (F, 3), its material, its joints where it is skinned, its
+    targets where it morphs (the arrays are then those of the resting weights)."""
 
     positions: np.ndarray
     normals: np.ndarray | None
@@ -28,6 +30,7 @@ class ReadPrimitive:
     material: Material
     joints: np.ndarray | None = None
     weights: np.ndarray | None = None
+    targets: MorphTargets | None = None
 
     def as_pyrender(self, mirrored: bool) -> Primitive:
         """The arrays as pyrender holds them; ``mirrored`` turns the winding round."""
@@ -67,9 +70,11 @@ def read_primitive(
         # Compressed primitives may leave their accessors empty.
         refuse_extensions(document, entry.get("extensions", {}))
     positions = _attribute(document, attributes["POSITION"], 3, f"{where}: POSITION")
-    for target, weight in zip(entry.get("targets", []), weights or [], strict=False):
-        if weight and "POSITION" in target:
-            positions = positions + weight * document.array(target["POSITION"])
+    targets = _targets(document, entry, positions, where)
+    resting = np.zeros(0 if targets is None else len(targets.position_steps))
+    resting[: len(weights or [])] = (weights or [])[: len(resting)]
+    if targets is not None:
+        positions = targets.at(resting)[0]
     require_finite(positions, f"{document.path}: mesh {mesh.get('name', '?')!r} primitive {number}: POSITION")
     count = len(positions)
     indices = document.raw(entry["indices"])[:, 0].astype(np.int64) if "indices" in entry else np.arange(count)
@@ -83,9 +88,9 @@ def read_primitive(
     normals = None
     if "NORMAL" in attributes:
         normals = _attribute(document, attributes["NORMAL"], 3, f"{where}: NORMAL", count)
-        for target, weight in zip(entry.get("targets", []), weights or [], strict=False):
-            if weight and "NORMAL" in target:
-                normals = normals + weight * document.array(target["NORMAL"])
+        if targets is not None:
+            normals = targets.at(resting)[1]
+            assert normals is not None
         normals, mended = mend_normals(positions, normals, faces)
         if mended:
             document.note(f"{where}: {mended} normals of length 0 or nan; their face's normal is used")
@@ -103,7 +108,26 @@ def read_primitive(
         material=read.material,
         joints=joints,
         weights=weighting,
+        targets=targets,
     )
+
+
+def _targets(document: Document, entry: dict[str, Any], positions: np.ndarray, where: str) -> MorphTargets | None:
+    """The morph targets of a primitive; None where it has none. What a target does not name it does not move."""
+    given = entry.get("targets", [])
+    if not given:
+        return None
+    attributes, count = entry["attributes"], len(positions)
+    steps = {}
+    for name in ("POSITION", "NORMAL"):
+        steps[name] = np.zeros((len(given), count, 3))
+        for number, target in enumerate(given):
+            if name in target:
+                step = _attribute(document, target[name], 3, f"{where}: target {number} {name}", count)
+                require_finite(step, f"{where}: target {number} {name}")
+                steps[name][number] = step
+    normals = document.array(attributes["NORMAL"]) if "NORMAL" in attributes else None
+    return MorphTargets(positions, normals, steps["POSITION"], steps["NORMAL"])
 
 
 def triangles_of(indices: np.ndarray, mode: int) -> np.ndarray:

@@ -16,7 +16,7 @@ from stimuli.mesh_files import read_mesh
 from stimuli.procedural import SCENES
 from stimuli.scene import CameraPath, Light, Mover, Part, Scene, StillCamera
 
-READER_VERSION = 1
+READER_VERSION = 2
 """Raised by hand whenever the same file would be read as another scene."""
 DEFAULT_YFOV_RAD = float(np.radians(50.0))
 _MALFORMED = (KeyError, TypeError, IndexError, AttributeError, ValueError, OverflowError, struct.error)
