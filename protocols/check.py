@@ -16,6 +16,7 @@ from protocols.requests import ClipSpec, clip_specs
 from protocols.session_size import size_of_block
 from protocols.study import Study
 from protocols.trial import Trial
+from stimuli.clip_request import CHANNEL_BYTES
 from stimuli.errors import problem
 
 WORDS_S = 15.0  # a screen of words is read for about this long
@@ -84,13 +85,18 @@ def summarise(study: Study, participants: Sequence[int] | None = None) -> Summar
         blocks=blocks,
         clips=clips,
         frames=sum(spec.frame_count for spec in stored),
-        store_bytes=int(sum(sizes) * EXR_BYTES_PER_PX),
+        store_bytes=int(sum(size * _stored_bytes(spec) for size, spec in zip(sizes, stored, strict=True))),
         play_bytes=sum(sizes) * PLAY_BYTES_PER_PX,
         upload_bytes=max((_upload(trial) for trial in shown), default=0),
         largest_trial_bytes=max((_trial_bytes(trial) for trial in shown), default=0),
-        notes=(*_notes(study, clips), *(_all_full(row) for row in below if row.share < SAME_SAMPLES)),
+        notes=(*_notes(study, clips), *_mirror_notes(shown), *_full_rate_notes(below)),
         below_full_rate=below,
     )
+
+
+def _stored_bytes(spec: ClipSpec) -> float:
+    """Bytes of a pixel in the store, its channels included."""
+    return EXR_BYTES_PER_PX + sum(CHANNEL_BYTES.get(name, 2) for name in spec.channels)
 
 
 def trial_seconds(study: Study, trial: Trial) -> float:
@@ -118,8 +124,25 @@ def _trial_bytes(trial: Trial) -> int:
     return int(width) * int(height) * PLAY_BYTES_PER_PX * frames
 
 
-def _all_full(row: BelowFullRate) -> str:
-    return f"condition {row.condition}: {row.share:.1%} of its pixels below full rate: it shows what full rate shows"
+def _full_rate_notes(rows: Iterable[BelowFullRate]) -> Iterable[str]:
+    for row in rows:
+        if row.share < SAME_SAMPLES:
+            below = f"{row.share:.1%} of its pixels below full rate"
+            yield f"condition {row.condition}: {below}: it shows what full rate shows"
+
+
+def _mirror_notes(trials: Iterable[Trial]) -> Iterable[str]:
+    """What a mirrored layout does to the panels, once a block."""
+    told: set[str] = set()
+    for trial in trials:
+        mirror = trial.settings["mirror"]
+        if mirror == "none" or trial.block in told:
+            continue
+        told.add(trial.block)
+        if trial.kind == "two_interval" or len(trial.panels) < 2:
+            yield f"block {trial.block}: mirror: {mirror} changes nothing: one panel stands in the middle"
+        elif mirror == "sides":
+            yield f"block {trial.block}: mirror: sides: slot left stands on the right (for displays seen by a mirror)"
 
 
 def first_adaptive_trial(study: Study, block: Block, participant: int = 1) -> Trial | None:

@@ -34,6 +34,20 @@ def condition_problems(study: Study) -> Iterator[Problem]:
         yield from parameter_problems(condition.technique, condition.params, (*loc, "params"), f"{what}.params")
 
 
+def channel_problems(study: Study) -> Iterator[Problem]:
+    """Conditions whose frames cannot say how often each pixel was sampled, where that is to be stored."""
+    tables = [study.defaults, *study.scenes.values()]
+    for block in study.blocks:
+        tables += [block.set, *(level for levels in block.factors.values() for level in levels.values())]
+    asked = any("samples" in (table.channels or ()) for table in tables)
+    able = [name for name, entry in CATALOGUE.items() if entry.counts_samples]
+    for name, condition in study.all_conditions().items():
+        wanted = asked if condition.channels is None else "samples" in condition.channels
+        if wanted and not condition.external and condition.technique in CATALOGUE and condition.technique not in able:
+            said = f"channels of its own without samples (which {' | '.join(able)} have)"
+            yield ("conditions", name, "channels"), f"conditions.{name}", "channels: samples", said
+
+
 def parameter_problems(technique: str, params: Mapping[str, Any], loc: Loc, what: str) -> Iterator[Problem]:
     """Unknown parameters, wrong types and values out of range, by the technique's own model."""
     model = CATALOGUE[technique].params

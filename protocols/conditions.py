@@ -10,6 +10,8 @@ from protocols.quantity import Exact, Model, Name, NonNegative, PositiveExact, R
 
 Fixation = Literal["free", "fixed", "moving"]
 Lighting = Literal["direct", "ambient_occlusion", "probes"]
+Mirror = Literal["none", "sides", "pictures"]
+Channels = Annotated[list[Literal["depth", "motion", "samples"]], Field(max_length=3)]
 
 
 class Settings(Model):
@@ -32,17 +34,26 @@ class Settings(Model):
     fixation: Fixation | None = Field(default=None, description="free look, a cross at the centre, or a moving target")
     live: bool | None = Field(default=None, description="rendered per refresh instead of played from the store")
     gap_px: Annotated[int, Field(ge=0, le=4096)] | None = None
+    mirror: Mirror | None = Field(
+        default=None,
+        description="sides: panels stand right to left (a display seen by way of a mirror); pictures: those left of "
+        "the middle are flipped, so that equal places meet at the seam",
+    )
     interval_gap_s: NonNegative | None = Field(default=None, description="pause between the two intervals")
     iti_s: NonNegative | None = Field(default=None, description="pause before a trial")
     response: Literal["after", "during"] | None = None
     replays: Annotated[int, Field(ge=0, le=100)] | None = None
     condition: Name | None = None
     params: dict[Name, Any] | None = Field(default=None, description="added to the parameters of the condition")
+    channels: Channels | None = Field(
+        default=None, description="stored beside the colours, for other programs: depth, motion, samples"
+    )
 
 
 DEFAULTS = Settings(
     size_px=(512, 512), duration_s="4", start_s="0", warm_up_s="1", path="file", lighting="direct", loop="once",
-    fixation="free", live=False, gap_px=16, interval_gap_s=0.5, iti_s=0.5, response="after", replays=0,
+    fixation="free", live=False, gap_px=16, mirror="none", interval_gap_s=0.5, iti_s=0.5, response="after",
+    replays=0,
 )  # fmt: skip
 
 
@@ -69,6 +80,7 @@ class Condition(Model):
     params: dict[Name, Any] = Field(default_factory=dict)
     rate_hz: Rate | None = Field(default=None, description="none: the trial's setting, else the display's refresh rate")
     live: bool | None = None
+    channels: Channels | None = Field(default=None, description="none: the trial's setting")
     label: str | None = Field(default=None, max_length=80, description="how plots name it")
 
     @property
@@ -81,18 +93,8 @@ def _condition(value: Any) -> Any:
     return {"technique": value} if isinstance(value, str) else value
 
 
-class CameraKey(Model):
-    """A keyframe of a camera path: where the camera is and what it looks at, in the scene's units."""
-
-    time_s: NonNegative
-    position: tuple[float, float, float]
-    look_at: tuple[float, float, float]
-    yfov_deg: Annotated[float, Field(gt=0, lt=180)] | None = None
-
-
 SceneEntry = Annotated[Scene, BeforeValidator(_scene)]
 ConditionEntry = Annotated[Condition, BeforeValidator(_condition)]
-Paths = dict[Name, Annotated[list[CameraKey], Field(min_length=1, max_length=500)]]
 
 
 class Timing(Model):

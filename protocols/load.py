@@ -89,10 +89,29 @@ def library_path(path: str | Path) -> Path:
     return shipped if not file.suffix and not file.exists() and shipped.exists() else file
 
 
+def _with_path_files(root: Node, file: Path) -> str:
+    """Put the keys of files named under ``paths`` in their places; their texts as comments."""
+    _, paths = (root.entries or {}).get("paths", (root.mark, root))
+    said = ""
+    for name, (mark, node) in list((paths.entries or {}).items()) if paths is not root else []:
+        if not isinstance(node.scalar, str):
+            continue
+        keys = file.parent / node.scalar
+        if not keys.is_file():
+            wanted = "keys, or a file of keys (studyapp scene --record-path)"
+            raise InputError(problem(node.mark, f"paths.{name}", f"{node.scalar!r}, which is not there", wanted))
+        assert paths.entries is not None
+        paths.entries[name] = (mark, read_yaml(keys, str(keys)))
+        said += f"\n# --- {node.scalar}\n" + "".join(
+            f"# {line}\n" for line in keys.read_text(encoding="utf-8-sig").splitlines()
+        )
+    return said
+
+
 def _extended(file: Path, depth: int, seen: list[Path]) -> tuple[Node, str]:
     """The file's root node, laid over the root of what it ``extends``; and the texts."""
     root = read_yaml(file, str(file))
-    text = file.read_text(encoding="utf-8-sig")
+    text = file.read_text(encoding="utf-8-sig") + _with_path_files(root, file)
     entry = (root.entries or {}).get("extends")
     if entry is None:
         return root, text

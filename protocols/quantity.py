@@ -52,7 +52,10 @@ Text = Annotated[str, StringConstraints(min_length=1, max_length=4000)]
 Positive = Annotated[float, Field(gt=0, le=1e6)]
 NonNegative = Annotated[float, Field(ge=0, le=1e6)]
 Share = Annotated[float, Field(ge=0, le=1)]
-Size = tuple[Annotated[int, Field(ge=1, le=16384)], Annotated[int, Field(ge=1, le=16384)]]
+_Side = Annotated[int, Field(ge=1, le=16384)]
+# A shorthand further out (a scene as one word, levels as a list) hands over plain lists, which strict tuples refuse.
+Size = Annotated[tuple[_Side, _Side], BeforeValidator(lambda value: tuple(value) if isinstance(value, list) else value)]
+"""Width and height in pixels."""
 
 
 def seconds(text: str) -> float:

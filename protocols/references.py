@@ -6,7 +6,8 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from protocols.block_references import block_problems
-from protocols.condition_references import condition_problems, match_problems
+from protocols.camera_keys import path_problems
+from protocols.condition_references import channel_problems, condition_problems, match_problems
 from protocols.names import OWN_COLUMNS, Declared, Loc, Problem, unknown
 from protocols.study import Study
 from renderers.catalogue import CATALOGUE
@@ -16,7 +17,9 @@ def reference_problems(study: Study, written: Mapping[str, Any]) -> Iterator[Pro
     """All names that lead nowhere and values that do not fit each other.
     ``written``: see `Declared`."""
     names = Declared(study, written)
+    yield from path_problems(study.paths)
     yield from condition_problems(study)
+    yield from channel_problems(study)
     for name, scene in study.scenes.items():
         yield from names.settings(scene.model_dump(exclude_none=True), ("scenes", name), f"scenes.{name}")
     yield from names.settings(study.defaults.model_dump(exclude_none=True), ("defaults",), "defaults")

@@ -18,7 +18,7 @@ from protocols.cells import Cell, block_cells, explicit_cell, panel
 from protocols.study import Study
 from protocols.trial import Panel, Trial
 from renderers.catalogue import CATALOGUE
-from stimuli.clip_request import ClipRequest
+from stimuli.clip_request import CHANNEL_GROUPS, ClipRequest
 
 
 @dataclass(frozen=True)
@@ -47,6 +47,7 @@ class ClipSpec:
     gaze: tuple[float, float] | str | None = None
     exposure: float | None = None
     live: bool = False
+    channels: tuple[str, ...] = ()
 
     @property
     def frame_count(self) -> int:
@@ -63,6 +64,7 @@ class ClipSpec:
             animation=self.animation, start_s=self.start_s, warm_up_s=self.warm_up_s, seed=self.seed,
             exposure=exposure if self.exposure is None else self.exposure, lighting=self.lighting,
             geometry=self.geometry, gaze=self.gaze, loop=self.loop, external_sha256=external_sha256,
+            extra={"channels": list(self.channels)} if self.channels else {},
         )  # fmt: skip
 
 
@@ -76,11 +78,10 @@ def clip_spec(study: Study, trial: Trial, shown: Panel) -> ClipSpec:
     geometry = None
     if follows and study.display.geometry == "screen":
         geometry = (*study.display.panel_m((width, height)), study.display.distance_m, 0.0, 0.0)
-    keys = (
-        json.dumps([key.model_dump(mode="json") for key in study.paths[trial.path]])
-        if trial.path in study.paths
-        else ""
-    )
+    keys = study.paths[trial.path].as_json() if trial.path in study.paths else ""
+    own = study.conditions.get(shown.condition.partition("@")[0])
+    asked = settings.get("channels") or () if own is None or own.channels is None else own.channels
+    channels = () if shown.live else tuple(name for group in asked for name in CHANNEL_GROUPS[group])
     return ClipSpec(
         scene=trial.scene, source=scene.scene, instead=scene.instead, technique=shown.technique,
         params=json.dumps(dict(shown.params), sort_keys=True), size_px=(width, height), rate_hz=shown.rate_hz,
@@ -88,7 +89,7 @@ def clip_spec(study: Study, trial: Trial, shown: Panel) -> ClipSpec:
         path=trial.path, path_keys=keys, animation=settings.get("animation"), lighting=str(settings["lighting"]),
         loop=str(settings["loop"]), seed=study.seed, geometry=geometry,
         gaze=(trial.fixation if trial.fixation == "moving" else (0.0, 0.0)) if follows else None,
-        exposure=scene.exposure, live=shown.live,
+        exposure=scene.exposure, live=shown.live, channels=tuple(dict.fromkeys(channels)),
     )  # fmt: skip
 
 

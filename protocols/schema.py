@@ -8,12 +8,13 @@ from protocols.study import Study
 
 
 def protocol_schema() -> dict[str, Any]:
-    """The schema. Shorthands that `load_study` takes (a scene or a condition as one word, levels as a list) and
-    ``extends`` are included; names that must lead somewhere are checked by `studyapp check` alone."""
+    """The schema. Shorthands that `load_study` takes (a scene, a condition or a path as one word, levels and keys as a
+    list) and ``extends`` are included; names that must lead somewhere are checked by `studyapp check` alone."""
     schema = Study.model_json_schema(mode="validation")
     definitions = schema["$defs"]
     for name in ("Scene", "Condition"):
         definitions[name] = {"anyOf": [{"type": "string"}, definitions[name]]}
+    definitions["CameraKeys"] = {"anyOf": [{"type": "string"}, definitions["CameraKeys"]]}
     factors = definitions["Block"]["properties"]["factors"]
     listed = {"type": "array", "items": {"type": ["string", "number"]}, "minItems": 1}
     tables = factors["patternProperties"]

@@ -9,7 +9,8 @@ from pydantic import Field, StringConstraints
 
 from protocols.analysis_plan import AnalysisPlan
 from protocols.blocks import Block
-from protocols.conditions import DEFAULTS, Condition, ConditionEntry, Gaze, Paths, SceneEntry, Settings, Timing
+from protocols.camera_keys import Paths
+from protocols.conditions import DEFAULTS, Condition, ConditionEntry, Gaze, SceneEntry, Settings, Timing
 from protocols.display import Display
 from protocols.match import Match
 from protocols.observer_model import ObserverModel
@@ -51,7 +52,7 @@ class Study(Model):
     display: Display = Display()
     defaults: Settings = Settings()
     scenes: Annotated[dict[Name, SceneEntry], Field(min_length=1, max_length=100)]
-    paths: Paths = Field(default_factory=dict)
+    paths: Paths = Field(default_factory=dict, description="camera paths: keys, or the name of a file of keys")
     techniques: Literal["all_side_by_side"] | list[Name] | None = Field(
         default=None, description="each becomes a condition of its own name, with default parameters"
     )

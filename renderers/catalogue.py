@@ -24,6 +24,7 @@ class Entry:
     ``knobs`` name the parameters that trade speed for accuracy, with the values a sweep tries. ``gaze_contingent``
     techniques may not stand side by side. ``framed``: full frames at any content rate. ``stateless``: a frame follows
     from its view alone, so a clip may be divided among workers. ``averages``: frames are means of ``spp`` samples.
+    ``counts_samples``: its frames say how often each pixel was sampled.
     ``density``: module of ``picture_probability``, how likely each pixel is traced in a frame; ``density_params``: the
     parameters that it hangs on.
     """
@@ -39,6 +40,7 @@ class Entry:
     baseline: bool = False
     stateless: bool = False
     averages: bool = False
+    counts_samples: bool = False
     density: str = ""
     density_params: tuple[str, ...] = ()
 
@@ -54,6 +56,7 @@ _ENTRIES: tuple[Entry, ...] = (
         framed=True,
         stateless=True,
         averages=True,
+        counts_samples=True,
     ),
     Entry(
         name="vanilla",
@@ -65,6 +68,7 @@ _ENTRIES: tuple[Entry, ...] = (
         framed=True,
         baseline=True,
         stateless=True,
+        counts_samples=True,
     ),
     Entry(
         name="taa",
@@ -75,6 +79,7 @@ _ENTRIES: tuple[Entry, ...] = (
         knobs={"alpha": (0.05, 0.1, 0.2), "box_sigmas": (0.75, 1.0, 1.25), "form": ("longest", "karis")},
         framed=True,
         baseline=True,
+        counts_samples=True,
     ),
     Entry(
         name="temporally_dense",
@@ -83,6 +88,7 @@ _ENTRIES: tuple[Entry, ...] = (
         module="renderers.temporally_dense.technique",
         class_name="TemporallyDense",
         knobs={"order": ("adaptive", "hourglass", "bowtie", "random"), "box_sigmas": (0.75, 1.0, 1.25)},
+        counts_samples=True,
     ),
     Entry(
         name="foveated",
@@ -94,6 +100,7 @@ _ENTRIES: tuple[Entry, ...] = (
         gaze_contingent=True,
         density="renderers.foveated.foveal_function",
         density_params=("configuration", "r0_deg", "r1_deg", "p_min"),
+        counts_samples=True,
     ),
     Entry(
         name="checkerboard",
@@ -103,6 +110,7 @@ _ENTRIES: tuple[Entry, ...] = (
         class_name="Checkerboard",
         knobs={"box_sigmas": (0.75, 1.0, 1.25)},
         baseline=True,
+        counts_samples=True,
     ),
     Entry(
         name="framed_low_resolution",
@@ -122,6 +130,7 @@ _ENTRIES: tuple[Entry, ...] = (
         class_name="FramedLowRate",
         knobs={"samples_per_s": (1e5, 4e5, 8e5, 1.6e6, 3.2e6, 6.4e6)},
         baseline=True,
+        counts_samples=True,
     ),
     Entry(
         name="adaptive_frameless",

@@ -134,3 +134,8 @@ class Checkerboard:
             time_s=float(view.index * (view.t1 - view.t0)),
             clamped=clamped,
         )
+
+    def show(self, view: View) -> dict[str, np.ndarray]:
+        """Debug pictures of the last frame, (H, W) each: ``sampled`` (1 where this refresh traced the pixel)."""
+        rows, columns = np.mgrid[0 : self.size_px[1], 0 : self.size_px[0]]
+        return {"sampled": ((rows + columns) % 2 == (self._frame - 1) % 2).astype(np.float32)}

@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
 from fractions import Fraction
 from importlib import import_module
 from pathlib import Path
@@ -22,10 +21,12 @@ from pydantic import BaseModel, ValidationError
 
 from renderers.backend import dr
 from renderers.catalogue import CATALOGUE, TECHNIQUES, entry
+from renderers.clip_channels import SCENE_CHANNELS, SceneChannels, samples_of
 from renderers.clip_frames import technique_params
 from renderers.eccentricity import gaze_at
 from renderers.engine import Engine
 from renderers.fixation_target import with_fixation_target
+from renderers.loops import closed_loop
 from renderers.reference import ReferenceRenderer
 from renderers.render_unit import RenderedFrame
 from renderers.technique import Frame, Gaze, Technique, View, ViewGeometry
@@ -36,54 +37,18 @@ from stimuli.clip_parts import FrameCost
 from stimuli.clip_request import ClipRequest
 from stimuli.errors import InputError, problem
 from stimuli.load import load_scene
-from stimuli.scene import CameraPath, PoseTrack, Scene
-
-LOOP_TOLERANCE = 1e-4
-"""Largest difference of a pose's entries, as a share of the largest entry, over which a loop counts as closed."""
-
-
-@dataclass(frozen=True)
-class LoopTrack:
-    """A track that begins again every ``period_s`` after ``start_s``, before it too."""
-
-    track: PoseTrack
-    start_s: float
-    period_s: float
-
-    def pose(self, time_s: np.ndarray) -> np.ndarray:
-        """(T,) seconds -> (T, 4, 4)."""
-        return self.track.pose(self.start_s + np.mod(np.asarray(time_s, np.float64) - self.start_s, self.period_s))
-
-
-@dataclass(frozen=True)
-class LoopCamera:
-    """The same for a camera."""
-
-    camera: CameraPath
-    start_s: float
-    period_s: float
-
-    @property
-    def yfov_rad(self) -> float:
-        """The camera's own field."""
-        return self.camera.yfov_rad
-
-    @property
-    def name(self) -> str:
-        """The camera's own name."""
-        return self.camera.name
-
-    def pose(self, time_s: np.ndarray) -> np.ndarray:
-        """(T,) seconds -> (T, 4, 4)."""
-        return LoopTrack(self.camera, self.start_s, self.period_s).pose(time_s)
+from stimuli.scene import CameraPath, Scene
 
 
 def keyed_camera(scene: Scene, keys: str) -> CameraPath:
-    """The camera of a protocol's keyframes: JSON list of {time_s, position, look_at, yfov_deg}."""
-    entries: list[dict[str, Any]] = json.loads(keys)
+    """The camera of a protocol's path: JSON, a list of {time_s, position, look_at, yfov_deg}, or what a path file holds
+    (`read_camera_path`)."""
+    held: Any = json.loads(keys)
+    tree: dict[str, Any] = held if isinstance(held, dict) else {"keys": held}
+    entries = [dict(entry) for entry in tree["keys"]]
     fields = [entry.pop("yfov_deg", None) for entry in entries]
-    tree: dict[str, Any] = {"keys": [{**entry, "time_s": float(entry["time_s"])} for entry in entries]}
-    if given := [value for value in fields if value is not None]:
+    tree["keys"] = [{**entry, "time_s": float(entry["time_s"])} for entry in entries]
+    if "yfov_deg" not in tree and (given := [value for value in fields if value is not None]):
         tree["yfov_deg"] = given[0]
     with TemporaryDirectory() as directory:  # the reader of path files checks every key
         file = Path(directory) / "protocol_keys.json"
@@ -110,34 +75,6 @@ def scene_and_camera(job: ClipJob) -> tuple[Scene, CameraPath]:
             scene, camera, float(Fraction(request.start_s)), float(Fraction(request.duration_s))
         )
     return closed_loop(scene, camera, request) if request.loop == "closed" else (scene, camera)
-
-
-def closed_loop(scene: Scene, camera: CameraPath, request: ClipRequest) -> tuple[Scene, CameraPath]:
-    """Scene and camera made periodic with the clip's duration; InputError where something does not come back."""
-    frames, rate = request.frame_count, Fraction(request.rate_hz)
-    start, period = float(Fraction(request.start_s)), float(frames / rate)
-    tracks: list[tuple[str, PoseTrack]] = [("camera", camera)]
-    tracks += [(f"mover {mover.name}", mover.track) for mover in scene.movers]
-    tracks += [(f"light {light.name}", light.track) for light in scene.lights if light.track is not None]
-    for name, track in tracks:
-        first, last = track.pose(np.array([start, start + period]))
-        if np.abs(first - last).max() > LOOP_TOLERANCE * max(1.0, float(np.abs(first).max())):
-            got = f"{name} is elsewhere after {period:g} s"
-            raise InputError(problem(request.scene, "closed loop", got, "a path whose period is the clip's duration"))
-    for mover in scene.movers:
-        if not (mover.visible_s[0] <= start and mover.visible_s[1] >= start + period):
-            raise InputError(
-                problem(request.scene, "closed loop", f"mover {mover.name} comes or goes", "none that does")
-            )
-    looped = replace(
-        scene,
-        movers=tuple(replace(mover, track=LoopTrack(mover.track, start, period)) for mover in scene.movers),
-        lights=tuple(
-            light if light.track is None else replace(light, track=LoopTrack(light.track, start, period))
-            for light in scene.lights
-        ),
-    )
-    return looped, LoopCamera(camera, start, period)
 
 
 def warm_up_frames(request: ClipRequest) -> int:
@@ -226,6 +163,7 @@ class ClipRenderer:
         self._key: tuple[Any, ...] = ()
         self._held: tuple[Scene, CameraPath, Engine] | None = None
         self._techniques: dict[tuple[str, int], Technique] = {}
+        self._scene_channels: tuple[tuple[int, tuple[int, int]], SceneChannels] | None = None
 
     def _prepared(self, job: ClipJob) -> tuple[Scene, CameraPath, Engine]:
         """Scene, camera and engine of ``job``."""
@@ -238,7 +176,7 @@ class ClipRenderer:
             scene, camera = scene_and_camera(job)
             self._held = scene, camera, Engine(scene, lighting=request.lighting)  # type: ignore[arg-type]
             self._key = key
-            self._techniques = {}
+            self._techniques, self._scene_channels = {}, None
         return self._held
 
     def _technique(self, request: ClipRequest, engine: Engine, seed: int) -> Technique:
@@ -268,7 +206,8 @@ class ClipRenderer:
             view = view_of(request, scene, camera, k, before, cut=k == unit.first - before)
             frame = technique.render(view)
             if k >= unit.first:
-                yield RenderedFrame(k, (_color(frame),), (1,), _channels(request, frame), _cost(frame))
+                color, cost = (_color(frame),), _cost(frame)
+                yield RenderedFrame(k, color, (1,), self._channels(request, engine, technique, frame, view), cost)
 
     def _averaged(
         self, request: ClipRequest, unit: Unit, scene: Scene, camera: CameraPath, engine: Engine
@@ -281,18 +220,42 @@ class ClipRenderer:
         probes = {0, request.frame_count // 2, request.frame_count - 1} if len(sizes) == 1 else set()
         for k in range(unit.first, unit.stop):
             view = view_of(request, scene, camera, k, 0, cut=True)
-            frames = []
+            made = []
             for block in range(low, high):
                 frame = technique.render_samples(view, sum(sizes[:block]), sizes[block])
-                frames.append((_color(frame), _channels(request, frame), _cost(frame)))
+                made.append((_color(frame), _cost(frame)))
+            # Of all blocks together: every worker gives the same.
+            channels = self._channels(request, engine, technique, None, view)
             twin = None
             if k in probes:
                 other = self._technique(request, engine, twin_seed(request.seed))
                 twin = _color(other.render(view))
             yield RenderedFrame(
-                k, tuple(color for color, _, _ in frames), sizes[low:high], frames[0][1],
-                total_cost([cost for _, _, cost in frames]), twin,
+                k, tuple(color for color, _ in made), sizes[low:high], channels, total_cost([cost for _, cost in made]),
+                twin,
             )  # fmt: skip
+
+    def _channels(
+        self, request: ClipRequest, engine: Engine, technique: Technique, frame: Frame | None, view: View
+    ) -> dict[str, np.ndarray]:
+        """The channels that the request asks for; ``frame`` None: the average of all of a reference's samples."""
+        found: dict[str, np.ndarray] = {}
+        for name in request.channels:
+            if frame is not None and name in frame.channels:
+                found[name] = np.array(frame.channels[name])
+            elif name in SCENE_CHANNELS and name not in found:
+                if self._scene_channels is None or self._scene_channels[0] != (id(engine), request.size_px):
+                    self._scene_channels = (id(engine), request.size_px), SceneChannels(engine, request.size_px)
+                found |= self._scene_channels[1].of(view)
+            elif name == "samples" and frame is None:
+                found[name] = np.full(request.size_px[::-1], int(request.params["spp"]), np.uint32)
+            elif name == "samples":
+                assert frame is not None
+                found[name] = samples_of(technique, frame, view, request.size_px)
+            elif name not in found:
+                has = " | ".join([*SCENE_CHANNELS, "samples", *(frame.channels if frame is not None else ())])
+                raise InputError(problem(request.technique, "channels", name, f"one of {has}"))
+        return {name: found[name] for name in request.channels}
 
 
 def view_of(request: ClipRequest, scene: Scene, camera: CameraPath, k: int, before: int, cut: bool) -> View:
@@ -329,12 +292,3 @@ def _color(frame: Frame) -> np.ndarray:
 def _cost(frame: Frame) -> FrameCost:
     rays = {kind: int(count) for kind, count in frame.rays.items()}
     return FrameCost({stage: float(s) for stage, s in frame.seconds.items()}, rays, int(frame.clamped))
-
-
-def _channels(request: ClipRequest, frame: Frame) -> dict[str, np.ndarray]:
-    """The channels that the request asks for (``extra``: {"channels": [...]})."""
-    wanted = list(request.extra.get("channels", ()))
-    if missing := [name for name in wanted if name not in frame.channels]:
-        has = " ".join(frame.channels) or "none"
-        raise InputError(problem(request.technique, "channels", ", ".join(missing), f"those it makes: {has}"))
-    return {name: np.array(frame.channels[name]) for name in wanted}

@@ -26,9 +26,9 @@ from typing import Any
 
 import psutil
 
-from stimuli.clip_request import ClipRequest
+from stimuli.clip_request import CHANNEL_BYTES, ClipRequest
 from stimuli.errors import InputError, problem
-from stimuli.exr import Picture, channel_dtype, read_exr
+from stimuli.exr import Picture, read_exr
 
 FORMAT = 1
 MANIFEST, COST = "manifest.json", "cost.json"
@@ -309,13 +309,13 @@ class Estimate:
     play_bytes: int
 
 
-def estimate_disk(requests: Sequence[ClipRequest], channels: Sequence[str] = ()) -> Estimate:
-    """Frames and bytes of ``requests``, each identity once, with ``channels`` stored beside R G B."""
-    once = {request.identity: request for request in requests}.values()
-    pixel_bytes = 6 + sum(channel_dtype(name)().itemsize for name in channels)
+def estimate_disk(requests: Sequence[ClipRequest]) -> Estimate:
+    """Frames and bytes of ``requests``, each identity once, with the channels that each asks for beside R G B."""
+    once = list({request.identity: request for request in requests}.values())
     pixels = [request.frame_count * request.size_px[0] * request.size_px[1] for request in once]
-    frames = sum(request.frame_count for request in once)
-    return Estimate(len(once), frames, sum(pixels) * pixel_bytes, sum(pixels) * 4)
+    each = [6 + sum(CHANNEL_BYTES.get(name, 2) for name in request.channels) for request in once]
+    exr_bytes = sum(count * size for count, size in zip(pixels, each, strict=True))
+    return Estimate(len(once), sum(request.frame_count for request in once), exr_bytes, sum(pixels) * 4)
 
 
 def rate_of(request: ClipRequest) -> Fraction:

@@ -12,6 +12,13 @@ from typing import Any
 ENGINE_VERSION = 1
 """Raised by hand whenever the same request would give other pixels."""
 
+CHANNEL_GROUPS: Mapping[str, tuple[str, ...]] = {
+    "depth": ("Z",), "motion": ("motion.X", "motion.Y"), "samples": ("samples",),
+}  # fmt: skip
+"""What a protocol or the command line calls optional channels -> their names in the EXR files."""
+CHANNEL_BYTES: Mapping[str, int] = {"Z": 4, "samples": 4, "class": 4}
+"""Bytes a pixel of the channels that are not half floats (2)."""
+
 
 @dataclass(frozen=True)
 class ClipRequest:
@@ -44,6 +51,11 @@ class ClipRequest:
     engine_version: int = ENGINE_VERSION
     external_sha256: str = ""
     extra: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """EXR names of what the frames hold beside R G B (``extra``: {"channels": [...]})."""
+        return tuple(self.extra.get("channels", ()))
 
     @property
     def frame_count(self) -> int:

@@ -124,9 +124,10 @@ def bench_of(study: Study, protocol_folder: Path, size_px: tuple[int, int] | Non
     """Load the scenes and render their gold standards. ``size_px`` None: the protocol's panel, made at most 128 px wide
     unless milliseconds are matched. Raises InputError where a scene is nowhere, or milliseconds are asked of another
     size than the protocol's."""
+    from renderers.clip_renderer import keyed_camera
     from renderers.engine import Engine
     from renderers.tradeoff import Conditions, gold_standard
-    from stimuli.camera_path import PATH_NAMES, camera_path
+    from stimuli.camera_path import camera_path
     from stimuli.load import load_scene
 
     settings = study.base_settings(None)
@@ -147,15 +148,14 @@ def bench_of(study: Study, protocol_folder: Path, size_px: tuple[int, int] | Non
             raise InputError(problem(f"scene {name}", "source", repr(stated.scene), "a scene that is there"))
         scene = load_scene(str(found), animation=here.get("animation"))
         path = str(here["path"])
-        if path in study.paths:
-            raise InputError(problem(f"scene {name}", "path", repr(path), " | ".join(PATH_NAMES)))
         conditions = Conditions(
             size_px=size, rate_hz=Fraction(study.display.refresh_hz), frames=frames, warm_up_frames=frames,
             start_s=Fraction(str(here["start_s"])) + 1, seed=study.seed % 2**32, reference_spp=spp,
             lighting=str(here["lighting"]), geometry=geometry,
         )  # fmt: skip
         engine = Engine(scene, lighting=conditions.lighting)  # type: ignore[arg-type]
-        camera = camera_path(scene, path)
+        keys = study.paths.get(path)
+        camera = camera_path(scene, path) if keys is None else keyed_camera(scene, keys.as_json())
         rigs.append((engine, camera, gold_standard(engine, camera, conditions, lambda n: None), conditions))
     return Bench(study, size, frames, own[0] * own[1] / (size[0] * size[1]), rigs)
 

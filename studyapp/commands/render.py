@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import argparse
 
+from protocols.condition_references import channel_problems
 from protocols.load import load_study
+from protocols.study import Study
 from stimuli.clip import ClipStore, estimate_disk
+from stimuli.clip_request import CHANNEL_GROUPS
 from stimuli.errors import InputError, problem
 from studyapp.cli import JobFailed
 from studyapp.clips import StudyClips, resolve_clips, store_directory
@@ -24,6 +27,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--reference-error", type=float, metavar="E", help="say how many samples a reference needs for this standard "
         "error of display values (0.002 is half a code of 255), and end with 1 where one has too few; renders no clip",
     )  # fmt: skip
+    parser.add_argument(
+        "--channels", metavar="LIST", help="render clips with these channels too: depth,motion,samples (clips of their "
+        "own for other programs; the protocol's own clips have those of its channels: key)",
+    )  # fmt: skip
     parser.add_argument("--estimate", action="store_true", help="say what would be made and how much disk it takes")
 
 
@@ -32,6 +39,8 @@ def run(args: argparse.Namespace) -> int:
     if args.workers < 1:
         raise InputError(problem("--workers", "processes", args.workers, "at least 1"))
     study = load_study(args.protocol)
+    if args.channels is not None:
+        study = with_channels(study, args.channels)
     store = ClipStore(store_directory(args.protocol, args.store))
     clips = resolve_clips(study, args.protocol, store)
     for note in clips.notes:
@@ -61,6 +70,18 @@ def run(args: argparse.Namespace) -> int:
         clips_lost = len({unit.identity for unit in outcome.poisoned})
         raise JobFailed(f"{len(outcome.poisoned)} units of {clips_lost} clips failed; the others are made")
     return 0
+
+
+def with_channels(study: Study, text: str) -> Study:
+    """``study`` with the channels of ``text`` ('depth,motion') by default. InputError, all problems at once."""
+    names = [name.strip() for name in text.split(",") if name.strip()]
+    if not names or (unknown := [name for name in names if name not in CHANNEL_GROUPS]):
+        got = ", ".join(unknown) if names else "nothing"
+        raise InputError(problem("--channels", "channels", got, " | ".join(CHANNEL_GROUPS)))
+    asked = study.model_copy(update={"defaults": study.defaults.model_copy(update={"channels": names})})
+    if found := [problem(*rest) for _, *rest in channel_problems(asked)]:
+        raise InputError(*found)
+    return asked
 
 
 def _convergence(clips: StudyClips, target: float) -> int:

@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from protocols import load_study
+from protocols.design import plan
 from protocols.load import LIBRARY
 from stimuli.errors import InputError
 from tests.protocols.tiny import TEXT, tiny
@@ -120,3 +121,20 @@ def test_extends_in_a_circle_is_refused(tmp_path: Path) -> None:
 def test_a_bare_name_is_looked_up_in_the_library() -> None:
     assert load_study("demo").study == "demo"
     assert load_study(LIBRARY / "demo.yaml") == load_study("demo")
+
+
+def test_sizes_are_read_at_every_level_of_the_cascade(tmp_path: Path) -> None:
+    """A scene's own, a level's, a block's: each a list in the file."""
+    text = TEXT.replace("{a: tunnel_geom", "{a: {scene: tunnel_geom, size_px: [64, 48]}").replace(
+        "      scene: [a, b]\n",
+        "      scene: [a, b]\n      size: {small: {size_px: [32, 24]}, wide: {size_px: [96, 24]}}\n",
+    )
+    file = tmp_path / "s.yaml"
+    file.write_text(text)
+    shown = [trial for trial in plan(load_study(file), 1) if trial.panels]
+    assert {tuple(t.settings["size_px"]) for t in shown if t.block == "pairs" and t.scene == "a"} == {(64, 48)}
+    assert {tuple(t.settings["size_px"]) for t in shown if t.block == "rating"} == {(32, 24), (96, 24)}
+    for wrong in ("[64]", "[64, 0]", "[64, 48, 3]", "64", "[a, b]"):
+        file.write_text(text.replace("[64, 48]", wrong))
+        with pytest.raises(InputError, match=r"s.yaml:2:\d+: scenes.a.size_px"):
+            load_study(file)

@@ -58,7 +58,7 @@ def test_gaze_and_geometry_are_part_of_gaze_contingent_clips_only() -> None:
 
 
 def test_a_path_of_keyframes_is_in_the_request() -> None:
-    keys = [{"time_s": t, "position": [t, 0, 0], "look_at": [0, 0, 0]} for t in (0, 1)]
+    keys = [{"time_s": t, "position": [t, 0, 0], "look_at": [0, 0, -1]} for t in (0, 1)]
     study = tiny(paths={"round": keys}, defaults={"path": "round"}, blocks=[rating()])
     moved = tiny(
         paths={"round": [keys[0], {**keys[1], "position": [2, 0, 0]}]}, defaults={"path": "round"}, blocks=[rating()]

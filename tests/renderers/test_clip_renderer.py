@@ -11,7 +11,8 @@ import pytest
 
 import renderers.units
 from renderers import render_clip
-from renderers.clip_renderer import ClipRenderer, closed_loop, gaze_of, keyed_camera, view_of, warm_up_frames
+from renderers.clip_renderer import ClipRenderer, gaze_of, keyed_camera, view_of, warm_up_frames
+from renderers.loops import closed_loop
 from renderers.produce import produce, units_of
 from renderers.units import Unit
 from stimuli import load_scene
@@ -53,7 +54,8 @@ def test_stored_frames_are_those_of_render_clip(scene, tmp_path, technique):
 
 
 def test_divided_clips_from_two_workers_are_byte_identical(scene, tmp_path, monkeypatch):
-    work = [job(scene, "vanilla"), job(scene, "reference", params={"spp": 130}, frames=2)]
+    extra = {"channels": ["Z", "motion.X", "motion.Y", "samples"]}
+    work = [job(scene, "vanilla", extra=extra), job(scene, "reference", params={"spp": 130}, frames=2, extra=extra)]
     one, two = ClipStore(tmp_path / "one"), ClipStore(tmp_path / "two")
     produce(work, one, bar=False)
     monkeypatch.setattr(renderers.units, "UNIT_SAMPLES", 24 * 16)
@@ -152,8 +154,9 @@ def test_moving_gaze_is_the_direction_of_the_scenes_target(scene):
 
 
 def test_channels_that_a_technique_lacks_are_refused(scene):
-    with pytest.raises(InputError, match="channels"):
-        list(ClipRenderer(None).frames(job(scene, extra={"channels": ["samples"]}), Unit(0, 1)))
+    for technique, name in (("polar", "samples"), ("vanilla", "albedo.R"), ("reference", "class")):
+        with pytest.raises(InputError, match=f"{technique}: channels: got {name}"):
+            list(ClipRenderer(None).frames(job(scene, technique, extra={"channels": [name]}), Unit(0, 1)))
 
 
 def test_technique_from_outside_the_tree_is_rendered_as_one_unit(scene, tmp_path):

@@ -236,10 +236,10 @@ def test_store_that_is_a_file_is_refused(tmp_path):
 
 
 def test_disk_estimate_counts_each_clip_once_and_bounds_the_store(store):
-    requests = [request(), request(), request(seed=1)]
-    estimate = estimate_disk(requests, ("Z",))
+    requests = [request(), request(), request(seed=1, extra={"channels": ["Z", "motion.X", "samples"]})]
+    estimate = estimate_disk(requests)
     assert (estimate.clips, estimate.frames) == (2, 12)
-    assert estimate.exr_bytes == 12 * 96 * 10
+    assert estimate.exr_bytes == 6 * 96 * 6 + 6 * 96 * (6 + 4 + 2 + 4)
     assert estimate.play_bytes == 12 * 96 * 4
 
 
