@@ -14,10 +14,10 @@ from stimuli.errors import InputError, problem
 from studyapp.cli import JobFailed
 from studyapp.devices.decoders import BOX_KINDS, BYTE_BOXES
 from studyapp.devices.device import DeviceSpec
+from studyapp.devices.device_reader import TRACKER_KINDS, BoardGaze, DeviceReader
 from studyapp.devices.emulators import Emulator, box_emulator, gaze_emulator
 from studyapp.devices.keyboard import Keyboard
 from studyapp.devices.mouse_gaze import MouseGaze
-from studyapp.devices.reader_process import TRACKER_KINDS, BoardGaze, DeviceReader
 from studyapp.devices.simulated import BoxAnswers, EmulatedPresses, LeapingPresses
 from studyapp.gaze.angles import ScreenGeometry
 from studyapp.gaze.calibrate import Calibrator

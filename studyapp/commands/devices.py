@@ -13,7 +13,7 @@ from studyapp.cli import JobFailed
 from studyapp.clock import now_ns
 from studyapp.devices.decoders import BOX_KINDS
 from studyapp.devices.device import DeviceSpec
-from studyapp.devices.reader_process import TRACKER_KINDS, DeviceReader
+from studyapp.devices.device_reader import TRACKER_KINDS, DeviceReader
 from studyapp.gaze.angles import ScreenGeometry
 from studyapp.lab_file import find_lab
 

@@ -9,8 +9,8 @@ from dataclasses import replace
 from protocols.trial import Question
 from studyapp.clock import now_ns
 from studyapp.devices.buttons import button_for, button_map
+from studyapp.devices.device_reader import DeviceReader
 from studyapp.devices.emulators import Emulator
-from studyapp.devices.reader_process import DeviceReader
 from studyapp.seams import Press
 
 LINE_LIMIT_S = 2.0  # a press that has not come through the line after so long never will

@@ -20,7 +20,7 @@ import numpy as np
 from stimuli.errors import InputError, problem
 from studyapp.cli import JobFailed
 from studyapp.clock import now_ns
-from studyapp.devices.reader_process import DeviceReader
+from studyapp.devices.device_reader import DeviceReader
 from studyapp.gaze.angles import ScreenGeometry, separation_dva
 from studyapp.gaze.calibration import fit_map
 from studyapp.gaze.targets import TargetScreen

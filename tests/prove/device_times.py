@@ -15,8 +15,9 @@ import numpy as np
 
 from studyapp.clock import now_ns
 from studyapp.devices.device import DeviceSpec
+from studyapp.devices.device_reader import DeviceReader
 from studyapp.devices.emulators import Emulator, box_emulator, gaze_emulator
-from studyapp.devices.reader_process import GONE, DeviceReader
+from studyapp.devices.status_board import GONE
 from studyapp.devices.tracker_emulators import gazepoint_emulator, pupil_emulator
 from studyapp.gaze.angles import ScreenGeometry
 from studyapp.seams import Press

@@ -21,8 +21,8 @@ import numpy as np
 from protocols.records import FLIP_DTYPE, GAZE_DTYPE
 from studyapp.clock import now_ns
 from studyapp.devices.device import DeviceSpec
+from studyapp.devices.device_reader import DeviceReader
 from studyapp.devices.emulators import box_emulator, gaze_emulator
-from studyapp.devices.reader_process import DeviceReader
 from studyapp.display.vblank import grid_time_ns
 from studyapp.gaze.angles import ScreenGeometry
 from studyapp.session_log import DurableLog

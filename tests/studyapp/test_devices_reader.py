@@ -14,9 +14,10 @@ import pytest
 from studyapp.clock import now_ns
 from studyapp.devices.decoders import BOX_KINDS
 from studyapp.devices.device import DeviceSpec
+from studyapp.devices.device_reader import DeviceReader
 from studyapp.devices.emulators import Emulator, box_emulator, gaze_emulator
-from studyapp.devices.reader_process import ALIVE, GONE, DeviceReader, StatusBoard
 from studyapp.devices.records import events_from_ring
+from studyapp.devices.status_board import ALIVE, GONE, StatusBoard
 from studyapp.gaze.angles import ScreenGeometry
 from studyapp.seams import Press
 

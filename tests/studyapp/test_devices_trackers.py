@@ -14,12 +14,12 @@ import pytest
 
 from studyapp.clock import now_ns
 from studyapp.devices.device import DeviceGone, DeviceSpec
+from studyapp.devices.device_reader import DeviceReader
 from studyapp.devices.emulators import Emulator
 from studyapp.devices.gazepoint import RecordStream
 from studyapp.devices.lsl import GazeLayout, gaze_layout
 from studyapp.devices.mouse_gaze import MouseGaze
 from studyapp.devices.pupil import annotation, decode_gaze
-from studyapp.devices.reader_process import DeviceReader
 from studyapp.devices.tracker_emulators import gazepoint_emulator, pupil_emulator
 from studyapp.gaze.angles import ScreenGeometry, separation_dva
 

@@ -12,8 +12,9 @@ import pytest
 from studyapp.cli import main
 from studyapp.clock import now_ns
 from studyapp.devices.device import Calibrates, DeviceGone, DeviceSpec
+from studyapp.devices.device_reader import TRACKER_KINDS
 from studyapp.devices.eyelink import MISSING, EyeLink, sample_point
-from studyapp.devices.reader_process import TRACKER_KINDS, open_device
+from studyapp.devices.reader_process import open_device
 from studyapp.devices.tobii import TobiiPro, combine_eyes
 from studyapp.gaze.angles import ScreenGeometry
 

@@ -13,9 +13,9 @@ from stimuli.errors import InputError
 from studyapp.cli import JobFailed
 from studyapp.clock import now_ns
 from studyapp.devices.device import DeviceSpec
+from studyapp.devices.device_reader import DeviceReader
 from studyapp.devices.emulators import Emulator
 from studyapp.devices.gazepoint import RecordStream, calibration_news
-from studyapp.devices.reader_process import DeviceReader
 from studyapp.devices.tracker_emulators import gazepoint_emulator
 from studyapp.display.offscreen_display import OffscreenDisplay
 from studyapp.gaze import calibrate
