@@ -68,7 +68,7 @@ class Trial:
     fixation: str = "free"
     factors: Mapping[str, str] = field(default_factory=dict)
     settings: Mapping[str, Any] = field(default_factory=dict)
-    """The cascade's result, JSON-ready: size_px, start_s, warm_up_s, lighting, animation, loop, gap_px,
+    """The cascade's result, JSON-ready: size_px, start_s, warm_up_s, lighting, animation, loop, gap_px, mirror,
     interval_gap_s, iti_s, response ('after' | 'during'), replays, feedback, ... (`protocols.conditions.Settings`)."""
 
     def as_dict(self) -> dict[str, Any]:

@@ -67,6 +67,14 @@ class LabPhotometry(Model):
     max_age_days: Positive = 90.0
 
 
+class LabGazeLatency(Model):
+    """Where the measured time from eye to light stands (written by ``studyapp display --sensor --eye``), and its age
+    limit."""
+
+    file: str
+    max_age_days: Positive = 180.0
+
+
 class LabDevice(Model):
     """One device: ``kind`` and ``port`` as `studyapp.devices` names them; ``keys``: device key -> protocol key."""
 
@@ -91,6 +99,7 @@ class LabModel(Model):
     display: LabDisplay = LabDisplay()
     photometry: LabPhotometry | None = None
     sensor: LabSensor | None = None
+    gaze_latency: LabGazeLatency | None = None
     devices: tuple[LabDevice, ...] = ()
 
 
@@ -109,22 +118,29 @@ class Lab(LabModel):
         """The measured luminance that the lab file names; None where it names none. InputError: unreadable."""
         if self.photometry is None:
             return None
-        file = Path(self.photometry.file)
+        keys = {"date", "codes", "luminance_cd_m2"}
+        return self._record("photometry", self.photometry.file, "studyapp display --photometry", keys)
+
+    def gaze_latency_record(self) -> dict[str, Any] | None:
+        """The measured time from eye to light; None where the lab file names none. InputError: unreadable."""
+        if self.gaze_latency is None:
+            return None
+        made_by = "studyapp display --sensor PORT --eye DEVICE"
+        return self._record("gaze_latency", self.gaze_latency.file, made_by, {"date", "p95_ms", "steps"})
+
+    def _record(self, key: str, name: str, made_by: str, keys: set[str]) -> dict[str, Any]:
+        """A measurement that the lab file names under ``key``."""
+        file = Path(name)
         if self.path is not None and not file.is_absolute():
             file = self.path.parent / file
         try:
             record = json.loads(file.read_text(encoding="utf-8"))
         except FileNotFoundError:
-            raise InputError(
-                problem(self.path, "photometry.file", f"{file.name}, which is not there", "a file")
-            ) from None
+            raise InputError(problem(self.path, f"{key}.file", f"{file.name}, which is not there", "a file")) from None
         except (json.JSONDecodeError, UnicodeDecodeError):
-            raise InputError(
-                problem(file, "photometry", "no JSON", "a file of studyapp display --photometry")
-            ) from None
-        if not isinstance(record, dict) or not {"date", "codes", "luminance_cd_m2"} <= record.keys():
-            wanted = "keys date, codes, luminance_cd_m2"
-            raise InputError(problem(file, "photometry", "another kind of file", wanted))
+            raise InputError(problem(file, key, "no JSON", f"a file of {made_by}")) from None
+        if not isinstance(record, dict) or not keys <= record.keys():
+            raise InputError(problem(file, key, "another kind of file", f"keys {', '.join(sorted(keys))}"))
         return record
 
     def display_table(self) -> DisplayTable | None:
@@ -186,7 +202,10 @@ def photometry_age_warning(record: dict[str, Any] | None, max_age_days: float, t
     """A warning where the display was measured too long ago, or never; None where all is well."""
     if record is None:
         return "luminance was never measured (studyapp display --photometry)"
+    return age_warning("luminance", record, max_age_days, today)
+
+
+def age_warning(what: str, record: Mapping[str, Any], max_age_days: float, today: date) -> str | None:
+    """A warning where a dated measurement is older than its limit; None where it is not."""
     age = (today - date.fromisoformat(str(record["date"])[:10])).days
-    if age > max_age_days:
-        return f"luminance was measured {age} days ago, the limit is {max_age_days:g}"
-    return None
+    return f"{what} was measured {age} days ago, the limit is {max_age_days:g}" if age > max_age_days else None

@@ -1,7 +1,8 @@
 """Light, where a sensor is attached: a photodiode logger on the light patch against the presenter's own record.
 
-The logger is a serial line of text, ``<microseconds>:<event>`` at 115200 baud, with the events ``PD`` (light came on)
-and ``pd`` (light went off) on the device's own clock. `Emulator` is such a logger on a pseudo-terminal.
+The logger is a serial line of text, ``<microseconds>:<event>`` at 115200 baud, with the events ``PD`` (light came on),
+``pd`` (light went off) and, where it moves an artificial eye (`studyapp.gaze.eye_to_light`), ``EY``, all on its own
+clock. `Emulator` is such a logger on a pseudo-terminal.
 """
 
 from __future__ import annotations
@@ -23,10 +24,11 @@ from studyapp.present.presenter import KeptFlips, Presenter
 from studyapp.seams import Display, Flip
 
 BAUD = 115_200
-ON, OFF = "PD", "pd"
+ON, OFF, EYE = "PD", "pd", "EY"
 TOGGLES = 960
 PART = 120
 """Toggles shown at a time; even, so that the patch goes on alternating."""
+EYE_WAIT_NS = 20_000_000
 LONGEST_LIGHT_MS = 100.0
 """No display answers later than this."""
 
@@ -58,17 +60,32 @@ class LightResult:
         return asdict(self)
 
 
-def parse_lines(raw: bytes) -> tuple[list[LightEdge], bytes, int]:
-    """Edges in ``raw``, what is left of an unfinished line, and how many lines were no light events."""
+@dataclass(frozen=True)
+class LogEvent:
+    """Any event of the logger: its own clock in microseconds, and ON, OFF or EYE."""
+
+    device_us: int
+    event: str
+
+
+def parse_events(raw: bytes) -> tuple[list[LogEvent], bytes, int]:
+    """Events in ``raw``, what is left of an unfinished line, and how many lines were neither light's nor the eye's."""
     *lines, rest = raw.split(b"\n")
-    edges, other = [], 0
+    events, other = [], 0
     for line in lines:
         stamp, _, event = line.strip().partition(b":")
-        if stamp.isdigit() and event in (ON.encode(), OFF.encode()) and len(stamp) <= 18:
-            edges.append(LightEdge(int(stamp), event == ON.encode()))
+        if stamp.isdigit() and event in (ON.encode(), OFF.encode(), EYE.encode()) and len(stamp) <= 18:
+            events.append(LogEvent(int(stamp), event.decode()))
         elif line.strip():
             other += 1
-    return edges, rest, other
+    return events, rest, other
+
+
+def parse_lines(raw: bytes) -> tuple[list[LightEdge], bytes, int]:
+    """Edges in ``raw``, what is left of an unfinished line, and how many lines were no light events."""
+    events, rest, other = parse_events(raw)
+    edges = [LightEdge(event.device_us, event.event == ON) for event in events if event.event != EYE]
+    return edges, rest, other + len(events) - len(edges)
 
 
 def compare(
@@ -149,10 +166,20 @@ class Logger:
 
     def edges(self) -> list[LightEdge]:
         """All edges that have come so far, without waiting."""
+        return parse_lines(self._all())[0]
+
+    def events(self) -> list[LogEvent]:
+        """All events that have come so far, the eye's too, without waiting."""
+        return parse_events(self._all())[0]
+
+    def move_eye(self) -> None:
+        """Have the artificial eye step to its other side, 0 to 20 ms from now."""
+        self._line.write(b"e")
+
+    def _all(self) -> bytes:
         while chunk := self._line.read(65536):
             self._raw += chunk
-        found, _, _ = parse_lines(self._raw)
-        return found
+        return self._raw
 
     def close(self) -> None:
         """Close the port."""
@@ -162,8 +189,11 @@ class Logger:
 class Emulator:
     """A logger on a pseudo-terminal: light follows the patch ``latency_ms`` later, with jitter and a drifting clock.
 
-    ``see`` tells it what the display shows; ``lose``: numbers of flips (0, 1, ...) whose light never comes.
+    ``see`` tells it what the display shows; ``lose``: numbers of flips (0, 1, ...) whose light never comes; ``eye``:
+    the artificial eye, told when (session ns) to step.
     """
+
+    eye: Callable[[int], None] | None = None
 
     def __init__(
         self, latency_ms: float = 3.0, jitter_ms: float = 0.05, drift_ppm: float = 40.0, seed: int = 0,
@@ -196,6 +226,11 @@ class Emulator:
             return
         for _ in range(commands.count(b"i")):
             os.write(self._ours, f"{self._device_us(now_ns())}:i\r\n".encode())
+        for _ in range(commands.count(b"e")):
+            at_ns = now_ns() + int(self._rng.uniform(0, EYE_WAIT_NS))
+            if self.eye is not None:
+                self.eye(at_ns)
+                os.write(self._ours, f"{self._device_us(at_ns)}:{EYE}\r\n".encode())
 
     def _device_us(self, at_ns: float) -> int:
         return round((at_ns - self._zero_ns) * (1 + self._drift) / 1000) + 5_000_000

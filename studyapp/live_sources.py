@@ -26,7 +26,9 @@ from stimuli.errors import InputError, problem
 from stimuli.load import load_scene
 from studyapp.clips import settled_exposure
 from studyapp.commands.check import find_scene
-from studyapp.present.live import LIVE_DTYPE, LiveSource, LiveView
+from studyapp.gaze.angles import ScreenGeometry
+from studyapp.present.layout import trial_rects
+from studyapp.present.live import LIVE_DTYPE, LiveSource, LiveView, PanelPlace
 from studyapp.seams import GazeSource
 
 
@@ -39,27 +41,30 @@ class LiveLog:
 
 
 class LiveSources:
-    """Makes a `LiveSource` for each live specification, once; `begin` it before each trial, `logs` it afterwards."""
+    """Makes a `LiveSource` for each live specification and place, once. ``screen``: where panels stand for the eye
+    (None: gaze is that from the panel's centre already, as a session's record has it)."""
 
     def __init__(
-        self, study: Study, beside: Path, store: ClipStore, gaze: GazeSource | None, table: DisplayTable | None = None
-    ) -> None:
-        self._table = table
+        self, study: Study, beside: Path, store: ClipStore, gaze: GazeSource | None, table: DisplayTable | None = None,
+        screen: ScreenGeometry | None = None,
+    ) -> None:  # fmt: skip
+        self._table, self._screen = table, screen
         self._study, self._beside, self._store, self._gaze = study, beside, store, gaze
         self._engines: dict[tuple[str, str | None, str], tuple[Any, Any, Any]] = {}
-        self._sources: dict[ClipSpec, LiveSource] = {}
+        self._sources: dict[tuple[ClipSpec, PanelPlace | None], LiveSource] = {}
 
     def source(self, trial: Trial, slot: str) -> LiveSource:
         """The panel's frames, at the clip's start: history forgotten, warm-up rendered."""
         panel = next(panel for panel in trial.panels if panel.slot == slot)
         spec = clip_spec(self._study, trial, panel)
-        source = self._sources.get(spec)
+        place = None if self._screen is None else place_of(trial, slot, self._screen)
+        source = self._sources.get((spec, place))
         if source is None:
-            source = self._sources[spec] = self._make(spec)
+            source = self._sources[spec, place] = self._make(spec, place)
         source.begin()
         return source
 
-    def _make(self, spec: ClipSpec) -> LiveSource:
+    def _make(self, spec: ClipSpec, place: PanelPlace | None) -> LiveSource:
         source = find_scene(spec.source, self._beside) or spec.instead
         if source is None:
             raise InputError(problem(f"scene {spec.scene}", "source", repr(spec.source), "a scene that can be found"))
@@ -80,9 +85,20 @@ class LiveSources:
         view = LiveView(
             camera, spec.size_px, Fraction(spec.rate_hz), spec.frame_count, Fraction(spec.start_s), geometry,
             exposure=exposure if spec.exposure is None else spec.exposure, warm_up_s=Fraction(spec.warm_up_s),
-            seed=spec.seed, table=self._table,
+            seed=spec.seed, table=self._table, place=place,
         )  # fmt: skip
         return LiveSource(made, view, self._gaze)
+
+
+def place_of(trial: Trial, slot: str, screen: ScreenGeometry) -> PanelPlace:
+    """Where a panel of ``trial`` stands for an eye on the screen's middle axis."""
+    rect = trial_rects(trial, screen.size_px)[slot]
+    wide_m, high_m = screen.width_m / screen.size_px[0], screen.height_m / screen.size_px[1]
+    right_px = rect.x_px + rect.width_px / 2 - screen.size_px[0] / 2
+    down_px = rect.y_px + rect.height_px / 2 - screen.size_px[1] / 2
+    return PanelPlace(
+        right_px * wide_m, -down_px * high_m, rect.height_px * high_m, screen.distance_m, rect.flipped
+    )  # fmt: skip
 
 
 def log_of(source: LiveSource, trial_number: int, slot: str) -> LiveLog:

@@ -29,6 +29,7 @@ from studyapp.clips import (
     store_problems,
     with_clips,
 )  # fmt: skip
+from studyapp.gaze.angles import ScreenGeometry
 from studyapp.seams import FrameSource, GazeSource
 
 if TYPE_CHECKING:  # the ray engine is loaded only where a panel is live
@@ -116,11 +117,12 @@ class StoredSources:
                 self._shown[panel.slot] = frames[panel.slot] = self._rendered(trial, panel.slot)
         return frames
 
-    def look_with(self, gaze: GazeSource | None) -> None:
-        """Live panels follow this gaze (None: the panel's centre)."""
+    def look_with(self, gaze: GazeSource | None, screen: ScreenGeometry | None = None) -> None:
+        """Live panels follow this gaze, where they stand on ``screen`` (gaze None: their centre)."""
         from studyapp.live_sources import LiveSources
 
-        self._live = LiveSources(self._study, library_path(self._protocol).parent, self._store, gaze, self._table)
+        beside = library_path(self._protocol).parent
+        self._live = LiveSources(self._study, beside, self._store, gaze, self._table, screen)
 
     def _rendered(self, trial: Trial, slot: str) -> LiveSource:
         if self._live is None:

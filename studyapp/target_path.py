@@ -7,7 +7,6 @@ is shown pixel for pixel, so its place in the picture is a place on the screen.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from math import tan
@@ -25,7 +24,7 @@ from stimuli.load import load_scene
 from stimuli.scene import CameraPath, PoseTrack, Scene
 from studyapp.commands.check import find_scene
 from studyapp.gaze.angles import ScreenGeometry
-from studyapp.present.layout import PanelRect, place_panels
+from studyapp.present.layout import PanelRect, trial_rects
 
 
 @dataclass(frozen=True)
@@ -80,10 +79,7 @@ class TargetPaths:
         """The event of presentation ``number``; None where nothing moves that is to be looked at."""
         if trial.fixation != "moving" or not trial.panels:
             return None
-        width, height = (int(side) for side in trial.settings["size_px"])
-        sizes = {panel.slot: (width, height) for panel in trial.panels}
-        rects = place_panels(sizes, self._screen.size_px, int(trial.settings.get("gap_px", 0)))
-        by_slot: Mapping[str, PanelRect] = {rect.slot: rect for rect in rects}
+        by_slot = trial_rects(trial, self._screen.size_px)
         panels, parts = [], []
         for panel in trial.panels:
             spec = clip_spec(self._study, trial, panel)

@@ -113,6 +113,7 @@ class TrialRunner:
             return self._words(trial, number, attempt)
         settings = trial.settings
         self.presenter.gap_px = int(settings.get("gap_px", 0))
+        self.presenter.mirror = settings.get("mirror", "none")
         iti_s = float(settings.get("iti_s", 0.0))
         if iti_s > 0:
             self.presenter.rest(iti_s, None, cross=trial.fixation == "fixed")

@@ -6,12 +6,16 @@ import argparse
 import json
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 from stimuli.errors import InputError, problem
+from studyapp.cli import JobFailed
 from studyapp.display.certificate import Certificate, certify
 from studyapp.display.choose import open_display
+from studyapp.gaze.angles import ScreenGeometry
 from studyapp.lab_file import Lab, find_lab
 from studyapp.present.frame_loop import ask_realtime
+from studyapp.seams import Display
 
 HELP = "measure the display: is it locked, at what rate, how well; writes its certificate"
 EXAMPLE = "studyapp display --display glfw --monitor 0 --size 1920x1080 --rate 240 --json"
@@ -36,6 +40,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="PORT",
         help="photodiode logger on the light patch; 'emulated' for the shipped emulator",
     )
+    parser.add_argument(
+        "--eye",
+        default=None,
+        metavar="DEVICE",
+        help="with --sensor: time from eye to light, by the artificial eye before this tracker: KIND:PORT, a name in "
+        "the lab file, or KIND:emulated",
+    )
+    parser.add_argument(
+        "--eye-out", default="eye_to_light.json", metavar="FILE", help="where the time from eye to light goes"
+    )
     parser.add_argument("--photometry", nargs="?", const="spotread", default=None, metavar="METER",
                         help="measure luminance: spotread | serial:PORT | typed")  # fmt: skip
     parser.add_argument(
@@ -48,6 +62,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """0: locked; 1: not locked (the certificate is printed all the same)."""
     lab = find_lab(args.lab, Path.cwd())
+    if args.eye is not None and args.sensor is None:
+        raise InputError(problem("--eye", "light sensor", "none", "--sensor PORT beside it"))
     kind = args.display or lab.display.kind
     size = parse_size(args.size) if args.size else lab.display.size_px
     rate = parse_rate(args.rate) if args.rate else Fraction(lab.display.rate_hz)
@@ -56,11 +72,14 @@ def run(args: argparse.Namespace) -> int:
     priority = ask_realtime() if args.realtime else "normal"
     display = open_display(kind, size, rate, monitor)
     try:
-        light = None
+        light = eye_to_light = None
         if args.sensor is not None:
             from studyapp.light_sensor import measure_light
 
             light = measure_light(display, args.sensor)
+        if args.eye is not None:
+            eye_to_light = _eye_to_light(display, lab, args.eye, args.sensor)
+            Path(args.eye_out).write_text(json.dumps(eye_to_light, indent=2) + "\n", encoding="utf-8")
         photometry = lab.photometry_record()
         if args.photometry is not None:
             from studyapp.photometry import measure_photometry
@@ -69,7 +88,8 @@ def run(args: argparse.Namespace) -> int:
             Path(args.photometry_out).write_text(json.dumps(photometry, indent=2) + "\n", encoding="utf-8")
         certificate = certify(
             display, args.refreshes, declared=lab.display.declared, encoding=lab.encoding_name(), light=light,
-            photometry=photometry, priority=priority, nominal_hz=None if kind != "glfw" or args.rate is None else rate,
+            photometry=photometry, eye_to_light=eye_to_light, priority=priority,
+            nominal_hz=None if kind != "glfw" or args.rate is None else rate,
         )  # fmt: skip
     finally:
         display.close()
@@ -77,6 +97,37 @@ def run(args: argparse.Namespace) -> int:
         Path(args.out).write_text(certificate.to_json() + "\n", encoding="utf-8")
     print(certificate.to_json() if args.json else describe(certificate, lab))
     return 0 if certificate.locked else 1
+
+
+def _eye_to_light(display: Display, lab: Lab, device: str, sensor: str) -> dict[str, Any]:
+    """Open the tracker and measure; JobFailed where it cannot be reached."""
+    from studyapp.commands.devices import emulate
+    from studyapp.devices.device import DeviceSpec
+    from studyapp.devices.device_reader import TRACKER_KINDS, DeviceReader
+    from studyapp.gaze.eye_to_light import measure_eye_to_light
+
+    view = lab.display.geometry
+    screen = ScreenGeometry(view.width_m, view.height_m, view.distance_m, display.size_px)
+    named = next((entry for entry in lab.devices if entry.name == device), None)
+    kind, _, port = device.partition(":") if named is None else (named.kind, "", named.port)
+    if kind not in TRACKER_KINDS:
+        wanted = f"KIND:PORT with KIND of {' | '.join(TRACKER_KINDS)}, or a tracker of the lab file"
+        raise InputError(problem("--eye", "device", repr(device), wanted))
+    emulator = emulate(kind, screen) if port == "emulated" else None
+    options = {} if named is None else dict(named.options)
+    if emulator is not None:
+        port, options = emulator.port, {"loopback": True}
+    reader = DeviceReader([DeviceSpec("eyes", kind, port, options, screen=screen)])
+    try:
+        missing = reader.wait_until_there(10.0)
+        if missing:
+            raise JobFailed("; ".join(missing))
+        move = None if emulator is None else emulator.step_to
+        return measure_eye_to_light(display, reader.gaze("eyes"), sensor, move)
+    finally:
+        reader.close()
+        if emulator is not None:
+            emulator.close()
 
 
 def describe(certificate: Certificate, lab: Lab) -> str:
@@ -97,6 +148,12 @@ def describe(certificate: Certificate, lab: Lab) -> str:
         lines.append(
             f"  flip to light {light['mean_ms']:.3f} ms, SD {light['sd_ms']:.3f} ms over {light['edges']} edges; "
             f"misses by light {light['light_missed']}, recorded {light['recorded_missed']}"
+        )
+    if certificate.eye_to_light:
+        eye = certificate.eye_to_light
+        lines.append(
+            f"  eye to light {eye['median_ms']:.1f} ms (median), p95 {eye['p95_ms']:.1f} ms, worst "
+            f"{eye['worst_ms']:.1f} ms over {eye['steps']} steps of the eye, {eye['unseen']} not followed"
         )
     if certificate.photometry:
         lines.append(f"  photometry: {certificate.photometry.get('summary', 'from the lab file')}")

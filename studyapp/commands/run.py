@@ -42,7 +42,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run or resume one session."""
-    from studyapp.run_session import RunRequest, run_session
+    from studyapp.run_session import run_session
+    from studyapp.session_parts import RunRequest
 
     request = RunRequest(
         protocol=args.protocol, participant=args.participant, display=args.display, monitor=args.monitor,

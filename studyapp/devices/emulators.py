@@ -126,8 +126,8 @@ def emulate_box(pipe: Connection, kind: str, model: str, drift_ppm: float) -> No
 
 
 def emulate_gaze(pipe: Connection, source_id: str, rate_hz: float, screen: ScreenGeometry, seed: int) -> None:
-    """The process of an eye tracker on LSL. Told ('look', x_dva, y_dva) or ('blink', seconds); looks at the centre at
-    first, with 0.1 degrees of noise. Says ('port', source_id) once the stream is up."""
+    """The process of an eye tracker on LSL. Told ('look', x_dva, y_dva), ('step', x_dva, y_dva, at_ns) or ('blink',
+    seconds); looks at the centre at first, with 0.1 degrees of noise. Says ('port', source_id) once it is up."""
     leave_interrupts_to_the_session()
     from studyapp.devices.lsl import keep_to_this_machine, outlet_of_gaze
 
@@ -138,6 +138,7 @@ def emulate_gaze(pipe: Connection, source_id: str, rate_hz: float, screen: Scree
     rng = np.random.default_rng(seed)
     pipe.send(("port", source_id))
     target, blink_until_ns = (0.0, 0.0), 0
+    step: tuple[float, float, int] | None = None
     start_ns, sent = now_ns(), 0
     offset_s = pylsl.local_clock() - now_ns() * 1e-9
     try:
@@ -149,12 +150,19 @@ def emulate_gaze(pipe: Connection, source_id: str, rate_hz: float, screen: Scree
                     blink_until_ns = now_ns() + int(message[1] * 1e9)
                 elif message[0] == "count":
                     pipe.send(("sent", sent))
+                elif message[0] == "step":
+                    step = message[1:]
                 else:
                     target = (message[1], message[2])
             n = int((now_ns() - start_ns) * 1e-9 * rate_hz) - sent
             if n <= 0:
                 continue
-            noisy = rng.normal(target, 0.1, (n, 2))
+            taken_ns = start_ns + (sent + 1 + np.arange(n)) / rate_hz * 1e9
+            targets = np.full((n, 2), target)
+            if step is not None:
+                targets[taken_ns >= step[2]] = step[:2]
+                target, step = (step[:2], None) if taken_ns[-1] >= step[2] else (target, step)
+            noisy = rng.normal(targets, 0.1)
             x, y = screen.from_dva(noisy[:, 0], noisy[:, 1])
             confidence = np.full(n, 0.0 if now_ns() < blink_until_ns else 0.95)
             block = np.column_stack([x, y, confidence, rng.normal(3.5, 0.05, n)])
@@ -197,6 +205,10 @@ class Emulator:
             self._pipe.send(message)
         except OSError:
             self._process.join(0.0)
+
+    def step_to(self, x_dva: float, at_ns: int) -> None:
+        """An emulated eye looks so far to the right of the centre from session time ``at_ns`` on."""
+        self.tell("step", x_dva, 0.0, at_ns)
 
     def heard(self) -> list[tuple[Any, ...]]:
         """What it said since the last call."""

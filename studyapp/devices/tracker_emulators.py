@@ -69,9 +69,10 @@ class _Calibration:
 
 
 def emulate_gazepoint(pipe: Connection, rate_hz: float, screen: ScreenGeometry, drift_ppm: float, seed: int) -> None:
-    """A server of Open Gaze records. Told ('look', x_dva, y_dva), ('blink', on), ('raw', bytes), ('skew', x_dva,
-    y_dva): gaze is off by so much until it is calibrated. It calibrates as the server does: each point in its turn,
-    then the result; a point at which the eye does not look within 3 degrees (skew apart) is not valid."""
+    """A server of Open Gaze records. Told ('look', x_dva, y_dva), ('step', x_dva, y_dva, at_ns), ('blink', on), ('raw',
+    bytes), ('skew', x_dva, y_dva): gaze is off by so much until it is calibrated. It calibrates as the server does:
+    each point in its turn, then the result; a point at which the eye does not look within 3 degrees (skew apart) is
+    not valid."""
     leave_interrupts_to_the_session()
     server = socket.create_server(("127.0.0.1", 0))
     pipe.send(("port", f"127.0.0.1:{server.getsockname()[1]}"))
@@ -80,6 +81,7 @@ def emulate_gazepoint(pipe: Connection, rate_hz: float, screen: ScreenGeometry, 
     start_ns = now_ns()
     commands = b""
     skew, calibration = (0.0, 0.0), _Calibration(screen)
+    step: tuple[float, float, int] | None = None
     try:
         while True:
             waiting: list[Any] = [pipe.fileno(), server, *([line] if line else [])]
@@ -104,6 +106,8 @@ def emulate_gazepoint(pipe: Connection, rate_hz: float, screen: ScreenGeometry, 
                 message = pipe.recv()
                 if message[0] == "look":
                     target = (message[1], message[2])
+                elif message[0] == "step":
+                    step = message[1:]
                 elif message[0] == "blink":
                     shut = bool(message[1])
                 elif message[0] == "skew":
@@ -115,6 +119,8 @@ def emulate_gazepoint(pipe: Connection, rate_hz: float, screen: ScreenGeometry, 
                 skew = (0.0, 0.0) if calibration.good else skew
             while line is not None and sending and sent < int((now_ns() - start_ns) * 1e-9 * rate_hz):
                 sent += 1
+                if step is not None and start_ns + sent / rate_hz * 1e9 >= step[2]:
+                    target, step = step[:2], None
                 noisy = rng.normal(target, 0.1) + skew
                 x, y = screen.from_dva(noisy[0], noisy[1])
                 device_s = sent / rate_hz * (1 + drift_ppm * 1e-6)
@@ -130,7 +136,8 @@ def emulate_gazepoint(pipe: Connection, rate_hz: float, screen: ScreenGeometry, 
 
 
 def emulate_pupil(pipe: Connection, rate_hz: float, screen: ScreenGeometry, drift_ppm: float, seed: int) -> None:
-    """Pupil Remote and its data port. Told ('look', x_dva, y_dva), ('blink', on), ('raw', topic, bytes)."""
+    """Pupil Remote and its data port. Told ('look', x_dva, y_dva), ('step', x_dva, y_dva, at_ns), ('blink', on),
+    ('raw', topic, bytes)."""
     leave_interrupts_to_the_session()
     context = zmq.Context()
     remote, data = context.socket(zmq.REP), context.socket(zmq.PUB)
@@ -138,6 +145,7 @@ def emulate_pupil(pipe: Connection, rate_hz: float, screen: ScreenGeometry, drif
     pipe.send(("port", f"127.0.0.1:{remote_port}"))
     rng = np.random.default_rng(seed)
     target, shut, sent = (0.0, 0.0), False, 0
+    step: tuple[float, float, int] | None = None
     start_ns = now_ns()
 
     def pupil_s() -> float:
@@ -153,12 +161,16 @@ def emulate_pupil(pipe: Connection, rate_hz: float, screen: ScreenGeometry, drif
                 message = pipe.recv()
                 if message[0] == "look":
                     target = (message[1], message[2])
+                elif message[0] == "step":
+                    step = message[1:]
                 elif message[0] == "blink":
                     shut = bool(message[1])
                 else:
                     data.send_multipart([message[1], message[2]])
             while sent < int((now_ns() - start_ns) * 1e-9 * rate_hz):
                 sent += 1
+                if step is not None and start_ns + sent / rate_hz * 1e9 >= step[2]:
+                    target, step = step[:2], None
                 noisy = rng.normal(target, 0.1)
                 x, y = screen.from_dva(noisy[0], noisy[1])
                 datum = {

@@ -59,6 +59,7 @@ class Certificate:
     onset: str = SOFTWARE_ONSET
     light: Mapping[str, Any] | None = None
     photometry: Mapping[str, Any] | None = None
+    eye_to_light: Mapping[str, Any] | None = None
     priority: str = "normal"
     machine: str = ""
     measured_utc: str = ""
@@ -82,6 +83,7 @@ def certify(
     nominal_hz: Fraction | None = None,
     background_code: int = 119,
     priority: str = "normal",
+    eye_to_light: Mapping[str, Any] | None = None,
 ) -> Certificate:
     """Measure ``display`` over ``refreshes`` swaps (at least 480; three tries) and judge it against its nominal rate.
 
@@ -130,6 +132,7 @@ def certify(
         onset=SOFTWARE_ONSET if light is None else "onset by light sensor",
         light=light,
         photometry=photometry,
+        eye_to_light=eye_to_light,
         priority=priority,
         machine=f"{platform.system()} {platform.release()} {platform.machine()}",
         measured_utc=wall_clock_utc(),

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
-from math import atan2, degrees, radians, tan
+from math import atan2, degrees, hypot, radians, tan
 
 import numpy as np
 
@@ -33,9 +33,31 @@ LIVE_DTYPE = np.dtype(
 
 
 @dataclass(frozen=True)
+class PanelPlace:
+    """Where a panel stands for the eye: its centre on the screen, right and up of the point that gaze is measured from,
+    its height and the eye's distance (metres), and whether its picture is flipped left to right."""
+
+    right_m: float
+    up_m: float
+    height_m: float
+    distance_m: float
+    flipped: bool = False
+
+    def seen(self, x_dva: float, y_dva: float, geometry: ViewGeometry | None, yfov_rad: float) -> Gaze:
+        """A gaze direction (azimuth and elevation, degrees, on the screen) as a technique takes it: from the picture's
+        centre, through the point of the screen that is looked at. Without ``geometry`` the picture subtends the
+        camera's own field, ``yfov_rad`` high."""
+        right_m = self.distance_m * tan(radians(x_dva))
+        up_m = tan(radians(y_dva)) * hypot(right_m, self.distance_m) - self.up_m
+        right_m = (right_m - self.right_m) * (-1 if self.flipped else 1)
+        # Without geometry, the eye stands where the picture's half height subtends half the camera's field.
+        distance = self.height_m / 2 / tan(yfov_rad / 2) if geometry is None else geometry.distance_m
+        return degrees(atan2(right_m, distance)), degrees(atan2(up_m, hypot(right_m, distance)))
+
+
+@dataclass(frozen=True)
 class LiveView:
-    """What a live panel needs beside its technique. ``panel_offset_m``: its centre on the screen (right, up) from the
-    point that the gaze is measured from."""
+    """What a live panel needs beside its technique. ``place`` None: gaze is that from the panel's centre already."""
 
     camera: CameraPath
     size_px: tuple[int, int]
@@ -43,7 +65,7 @@ class LiveView:
     frame_count: int
     start_s: Fraction = Fraction(0)
     geometry: ViewGeometry | None = None
-    panel_offset_m: tuple[float, float] = (0.0, 0.0)
+    place: PanelPlace | None = None
     exposure: float = 1.0
     tone: str = "none"
     table: DisplayTable | None = None
@@ -142,9 +164,7 @@ class LiveSource:
 
     def _from_panel(self, x_deg: float, y_deg: float) -> Gaze:
         """Direction from the screen's centre -> direction from the panel's centre, through points on the screen."""
-        geometry, (right_m, up_m) = self._view.geometry, self._view.panel_offset_m
-        if geometry is None or (right_m == 0 and up_m == 0):
+        view = self._view
+        if view.place is None:
             return x_deg, y_deg
-        distance = geometry.distance_m
-        x_m, y_m = distance * tan(radians(x_deg)) - right_m, distance * tan(radians(y_deg)) - up_m
-        return degrees(atan2(x_m, distance)), degrees(atan2(y_m, distance))
+        return view.place.seen(x_deg, y_deg, view.geometry, view.camera.yfov_rad)

@@ -15,16 +15,18 @@ from typing import Literal
 import moderngl
 import numpy as np
 
+from protocols.conditions import Mirror
 from protocols.records import FLIP_OFFSET, FLIP_ONSET, MAX_PANELS
 from protocols.trial import Question, Trial
 from renderers.technique import ViewGeometry
 from stimuli.errors import InputError, problem
+from studyapp.present.admission import admit, touch
 from studyapp.present.frame_loop import MissPolicy, PanelPlay, Phase, PhaseShown, Stage, show_phase, undisturbed
-from studyapp.present.layout import IN_SEQUENCE, Mirror, PanelRect, place_panels
+from studyapp.present.layout import IN_SEQUENCE, PanelRect, place_panels
 from studyapp.present.overlay import Style, Words, paint_cross, paint_question, paint_words, pixels_per_degree
 from studyapp.present.playlist import check_rate, refresh_count
 from studyapp.present.shown import Answer, KeptFlips, TrialShown, answer_of, key_meanings, trial_of
-from studyapp.present.uploader import PanelTexture, Quads, Sprite, admit, touch
+from studyapp.present.uploader import PanelTexture, Quads, Sprite
 from studyapp.seams import Display, FlipSink, FrameSource, GazeSource, Responder
 
 __all__ = ["DESK", "Answer", "KeptFlips", "OnOnset", "Presenter", "TrialShown"]

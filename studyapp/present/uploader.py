@@ -1,4 +1,4 @@
-"""Pictures on their way to the display: textures filled one refresh ahead, and the admission check before a trial.
+"""Pictures on their way to the display: textures filled one refresh ahead (what may be played at all: `admission`).
 
 A panel owns two textures: one is shown while the next refresh's frame is written into the other. On GPUs the write
 goes through a ring of pixel buffers (the copy to the device then runs beside the draw); a software rasteriser has no
@@ -7,12 +7,8 @@ device to copy to, a second copy in memory is only a loss there, so it is writte
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-
 import moderngl
 import numpy as np
-import psutil
 
 from stimuli.errors import InputError, problem
 from studyapp.present.layout import PanelRect
@@ -146,53 +142,3 @@ class PanelTexture:
             thing.release()
         for texture in self._textures:
             texture.release()
-
-
-@dataclass(frozen=True)
-class Admission:
-    """What a trial asks of the machine. ``upload_bytes_s``: written to textures a second; ``resident_bytes``: all its
-    clips; ``from_disk``: they do not fit in memory and are read while they play."""
-
-    resident_bytes: int
-    upload_bytes_s: float
-    available_bytes: int
-    from_disk: bool
-
-
-def admit(
-    sources: Mapping[str, FrameSource],
-    disk_bytes_s: float | None = None,
-    upload_limit_bytes_s: float | None = None,
-    available_bytes: int | None = None,
-) -> Admission:
-    """Refuse a trial that this machine cannot play (decisions.md, playback memory).
-
-    All clips of the trial fit in 80 % of the free memory, or the measured disk rate ``disk_bytes_s`` is twice what is
-    needed; ``upload_limit_bytes_s`` is the measured upload rate. Raises InputError naming what is short.
-    """
-    stored = {slot: source for slot, source in sources.items() if not getattr(source, "live", False)}
-    frame_bytes = {slot: source.size_px[0] * source.size_px[1] * 4 for slot, source in sources.items()}
-    # Two panels may show one clip: its pages are counted once.
-    unique = {id(source): frame_bytes[slot] * source.frame_count for slot, source in stored.items()}
-    resident = sum(unique.values())
-    upload = float(sum(frame_bytes[slot] * source.rate_hz for slot, source in sources.items()))
-    available = psutil.virtual_memory().available if available_bytes is None else available_bytes
-    from_disk = resident > 0.8 * available
-    read = float(sum(frame_bytes[slot] * source.rate_hz for slot, source in stored.items()))
-    problems = []
-    if from_disk and (disk_bytes_s is None or disk_bytes_s < 2 * read):
-        disk = "a disk of unknown rate" if disk_bytes_s is None else f"a disk of {disk_bytes_s / 1e6:.0f} MB/s"
-        got = f"{resident / 1e9:.2f} GB of clips, {available / 1e9:.2f} GB free memory and {disk}"
-        wanted = f"clips within 80 % of free memory, or a disk of {2 * read / 1e6:.0f} MB/s"
-        problems.append(problem("admission", "playback memory", got, wanted))
-    if upload_limit_bytes_s is not None and upload > upload_limit_bytes_s:
-        wanted = f"at most {upload_limit_bytes_s / 1e6:.0f} MB/s (measured here)"
-        problems.append(problem("admission", "upload", f"{upload / 1e6:.0f} MB/s", wanted))
-    if problems:
-        raise InputError(*problems)
-    return Admission(resident, upload, available, from_disk)
-
-
-def touch(source: FrameSource) -> int:
-    """Read one byte of each memory page of a stored clip, so that no refresh waits for the disk; returns their sum."""
-    return sum(int(source.frame(index).reshape(-1)[::4096].sum()) for index in range(source.frame_count))

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import threading
+import tty
 from datetime import date
 
 import numpy as np
@@ -99,6 +102,45 @@ def test_meters() -> None:
     assert typed_meter(lambda _: next(said))("white") == 1.5
     with pytest.raises(InputError, match=r"spotread \| serial:PORT \| typed"):
         open_meter("eye")
+
+
+def test_spotread_is_run_for_each_patch(tmp_path, monkeypatch) -> None:
+    said = "Place instrument on spot\\n Result is XYZ: 95.0 101.5 110.0, D50 Lab: 100 0 0\\n"
+    program = tmp_path / "spotread"
+    program.write_text(f'#!/bin/sh\necho "$@" >> {tmp_path}/asked\nprintf "{said}"\n')
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    meter, name = open_meter("spotread")
+    assert (meter("white"), meter("grey"), name) == (101.5, 101.5, "ArgyllCMS spotread")
+    assert (tmp_path / "asked").read_text().splitlines() == ["-e -O -x"] * 2
+    monkeypatch.setenv("PATH", str(tmp_path / "empty"))
+    with pytest.raises(InputError, match="spotread: got not installed"):
+        open_meter("spotread")
+
+
+def test_a_serial_meter_is_asked_on_its_line() -> None:
+    ours, theirs = os.openpty()
+    tty.setraw(theirs)
+    asked: list[bytes] = []
+
+    def answer() -> None:
+        for said in (b"  101.5 cd/m2\r\n", b"--\r\n"):
+            asked.append(os.read(ours, 64))
+            os.write(ours, said)
+
+    other_side = threading.Thread(target=answer)
+    other_side.start()
+    meter, name = open_meter(f"serial:{os.ttyname(theirs)}")
+    assert meter("white") == 101.5
+    with pytest.raises(InputError, match="meter at grey: got '--"):
+        meter("grey")
+    other_side.join()
+    assert asked == [b"M\r\n"] * 2
+    assert name.startswith("serial meter on ")
+    os.close(ours)
+    os.close(theirs)
+    with pytest.raises(InputError, match="photometry: port: got /dev/nowhere"):
+        open_meter("serial:/dev/nowhere")
 
 
 def test_lab_file_gives_display_table_and_age(tmp_path) -> None:

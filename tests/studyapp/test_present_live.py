@@ -12,7 +12,9 @@ from protocols.trial import Panel, Trial
 from renderers.technique import Frame, View, ViewGeometry
 from stimuli.encode import encode
 from studyapp.display.choose import open_display
-from studyapp.present.live import LiveSource, LiveView
+from studyapp.gaze.angles import ScreenGeometry
+from studyapp.live_sources import place_of
+from studyapp.present.live import LiveSource, LiveView, PanelPlace
 from studyapp.present.presenter import KeptFlips, Presenter
 
 
@@ -130,12 +132,39 @@ def test_no_gaze_yet_is_none() -> None:
     assert source.log()["gaze_ns"].tolist() == [-1]
 
 
+class Camera:
+    yfov_rad = 2 * np.arctan(0.5)
+
+
 def test_gaze_is_seen_from_the_panels_centre() -> None:
     geometry = ViewGeometry(0.2, 0.1, 0.6)
     gaze = MovingGaze(lambda: 10**9)
-    source = LiveSource(GazePicture(), view(geometry=geometry, panel_offset_m=(0.1, 0.0)), gaze)  # type: ignore[arg-type]
+    place = PanelPlace(0.1, 0.0, 0.1, 0.6)
+    seen = view(camera=Camera(), geometry=geometry, place=place)
+    source = LiveSource(GazePicture(), seen, gaze)  # type: ignore[arg-type]
     source.frame(0)
     row = source.log()[0]
     # The eye looks almost straight ahead; the panel's centre is atan(0.1 / 0.6) to the right.
     assert row["x_deg"] == pytest.approx(-np.degrees(np.arctan((0.1 - 0.6 * np.tan(np.radians(0.01))) / 0.6)))
-    assert row["y_deg"] == pytest.approx(-1.0)
+    up_m = -0.6 * np.tan(np.radians(1)) / np.cos(np.radians(0.01))
+    assert row["y_deg"] == pytest.approx(np.degrees(np.arctan2(up_m, np.hypot(0.6, 0.1))), rel=1e-3)
+
+
+def test_the_pixel_that_is_looked_at_is_the_one_in_the_picture() -> None:
+    trial = Trial(
+        0, "b", "forced_choice", panels=tuple(Panel(slot, "c", "t") for slot in ("left", "right")),
+        settings={"size_px": [100, 60], "gap_px": 20, "mirror": "pictures"},
+    )  # fmt: skip
+    screen = ScreenGeometry(0.5, 0.25, 0.6, (400, 200))
+    looked = screen.to_dva((90 + 70) / 400, (70 + 45) / 200)  # pixel 70, 45 of the left panel, as it stands
+    left = place_of(trial, "left", screen)
+    assert left.flipped
+    x, y = left.seen(float(looked[0]), float(looked[1]), ViewGeometry(0.125, 0.075, 0.6), 0.0)
+    # Flipped, the eye meets the picture's own pixel 30: 20 px left of its centre; 15 px below it.
+    assert x == pytest.approx(np.degrees(np.arctan2(-20 * 0.00125, 0.6)))
+    assert y == pytest.approx(np.degrees(np.arctan2(-15 * 0.00125, np.hypot(0.6, 20 * 0.00125))))
+    # Without a geometry the picture's 60 px are the camera's own field: half of it is atan(0.5).
+    x, y = left.seen(float(looked[0]), float(looked[1]), None, Camera.yfov_rad)
+    assert x == pytest.approx(np.degrees(np.arctan(-20 / 30 * 0.5)))
+    right = place_of(trial, "right", screen)
+    assert right.right_m == -left.right_m == pytest.approx(60 * 0.00125)

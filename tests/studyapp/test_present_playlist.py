@@ -68,6 +68,11 @@ def test_mirrored_sides_and_mirrored_pictures() -> None:
     assert [rect.slot for rect in sides] == ["right", "left"]
     left, right = place_panels(slots("left", "right"), (400, 100), mirror="pictures")
     assert (left.flipped, right.flipped) == (True, False)
+    four = place_panels(slots("a", "b", "c", "d"), (220, 200), mirror="sides")
+    assert [rect.slot for rect in four] == ["b", "a", "d", "c"]
+    assert not any(
+        rect.flipped for rect in place_panels(slots("centre", size=(101, 80)), (400, 100), mirror="pictures")
+    )
 
 
 def test_intervals_share_the_centre() -> None:

@@ -10,15 +10,13 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from protocols.records import FLIP_LIGHT_PATCH, FLIP_OFFSET, FLIP_ONSET
+from protocols.records import FLIP_OFFSET, FLIP_ONSET
 from protocols.trial import Panel, Question, Trial
 from stimuli.errors import InputError
 from studyapp.display.choose import open_display
 from studyapp.display.virtual_display import Fault, VirtualDisplay, random_faults
-from studyapp.present import uploader
 from studyapp.present.frame_loop import undisturbed
 from studyapp.present.presenter import KeptFlips, Presenter
-from studyapp.present.uploader import admit
 from tests.studyapp.clips import NumberedClip, ScriptedResponder
 
 CHOICE = Question("q", "Which?", "choice", ("left", "right"), keys={"a": "left", "b": "right"})
@@ -285,50 +283,6 @@ def test_failed_timing_is_told() -> None:
     assert shown.timing_ok(max_missed=2)
 
 
-def test_light_patch_toggles_in_the_record_and_on_the_screen() -> None:
-    display = Watched([(2, 57)])
-    sink = KeptFlips()
-    presenter = Presenter(display, sink, patch="refresh")
-    presenter.play(trial("left"), {"left": NumberedClip(120, 30)})
-    rows = sink.rows()
-    lit = (rows["flags"] & FLIP_LIGHT_PATCH) > 0
-    assert lit[:4].tolist() == [True, False, True, False]
-    assert not lit[-1]
-    assert [pixels[0][0] == 255 for pixels in display.seen] == lit.tolist()
-    presenter.close()
-    display.close()
-
-
-def test_upload_goes_ahead_each_frame_is_asked_for_once() -> None:
-    display = open_display("offscreen", (64, 48), 60)
-    clip = NumberedClip(30, 15)
-    asked: list[int] = []
-    presenter = Presenter(display, KeptFlips())
-    clip.asked = asked
-    presenter.play(trial("left", duration_s=0.5), {"left": clip}, miss_policy="hold")
-    presenter.close()
-    display.close()
-    touched, played = asked[:15], asked[15:]
-    assert touched == list(range(15))
-    # After the last frame the first one goes up, in case the sequence begins anew.
-    assert played == [*range(15), 0]
-
-
-def test_mirrored_picture_is_flipped_on_the_screen() -> None:
-    class Halves(NumberedClip):
-        def frame(self, index: int) -> np.ndarray:
-            picture = np.full((24, 32, 4), 255, np.uint8)
-            picture[:, :16, :3] = 0
-            return picture
-
-    display = Watched([(162 - 32, 30), (158, 30), (162, 30), (188, 30)])
-    presenter = Presenter(display, KeptFlips(), mirror="pictures")
-    presenter.play(trial("left", "right"), {"left": Halves(120, 30), "right": Halves(120, 30)})
-    presenter.close()
-    display.close()
-    assert [pixel[0] for pixel in display.seen[0]] == [255, 0, 0, 255]
-
-
 def test_bad_trials_are_refused_before_anything_is_shown() -> None:
     display, sink = VirtualDisplay(), KeptFlips()
     presenter = Presenter(display, sink)
@@ -343,20 +297,6 @@ def test_bad_trials_are_refused_before_anything_is_shown() -> None:
     with pytest.raises(InputError, match="1 to 4"):
         presenter.play(trial("a", "b", "c", "d", "e"), {slot: NumberedClip(240, 10) for slot in "abcde"})
     assert len(sink.rows()) == 0
-
-
-def test_admission_by_memory_disk_and_upload() -> None:
-    clip = NumberedClip(240, 1000, size_px=(100, 100))  # 40 MB, 9.6 MB/s
-    admitted = admit({"left": clip, "right": clip}, available_bytes=60_000_000)
-    assert (admitted.resident_bytes, admitted.from_disk) == (40_000_000, False)
-    assert admitted.upload_bytes_s == 2 * 9.6e6
-    with pytest.raises(InputError, match="playback memory"):
-        admit({"left": clip}, available_bytes=49_000_000)
-    with pytest.raises(InputError, match="disk of 19 MB/s"):
-        admit({"left": clip}, disk_bytes_s=19.1e6, available_bytes=49_000_000)
-    assert admit({"left": clip}, disk_bytes_s=19.3e6, available_bytes=49_000_000).from_disk
-    with pytest.raises(InputError, match=r"upload: got 10 MB/s, wanted at most 9 MB/s"):
-        admit({"left": clip}, upload_limit_bytes_s=9e6, available_bytes=10**9)
 
 
 def test_garbage_collection_is_off_while_frames_are_shown_and_back_on_after() -> None:
@@ -403,14 +343,3 @@ def test_refreshes_that_go_by_between_trials_are_not_lost() -> None:
     rows = sink.rows()
     assert rows["missed"][begun] == 0
     assert rows["refresh"][begun] - rows["refresh"][begun - 1] >= 12
-
-
-def test_pixel_buffers_of_a_gpu_bring_the_same_pixels(monkeypatch) -> None:
-    monkeypatch.setattr(uploader, "is_software", lambda gl: False)
-    display, sink = Watched([(160, 30)]), KeptFlips()
-    presenter = Presenter(display, sink)
-    presenter.play(trial("left", duration_s=0.2), {"left": NumberedClip(120, 24, panel=7)}, miss_policy="hold")
-    presenter.close()
-    display.close()
-    assert [pixel[0] for pixel in display.seen[:24]] == [[k, 7, 255 - k] for k in range(24)]
-    assert sink.rows()["source"][:24, 0].tolist() == list(range(24))
