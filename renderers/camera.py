@@ -36,16 +36,26 @@ class Ray:
     spread: Any
 
 
-def camera_state(camera: CameraPath, space: TracerSpace, times_s: np.ndarray, size_px: tuple[int, int]) -> CameraState:
-    """The device's camera for these knots. Raises InputError for a size below 1 px, a field not in (0, pi) rad."""
+def camera_poses(camera: CameraPath, times_s: np.ndarray) -> np.ndarray:
+    """(K, 4, 4) float64 camera-to-world at these scene seconds. Raises InputError where one is not finite."""
+    poses = np.asarray(camera.pose(np.asarray(times_s, np.float64)), np.float64)
+    if not np.isfinite(poses).all():
+        raise InputError(problem("camera", "pose", "values that are not finite", "finite numbers"))
+    return poses
+
+
+def camera_state(
+    camera: CameraPath, poses: np.ndarray, space: TracerSpace, times_s: np.ndarray, size_px: tuple[int, int]
+) -> CameraState:
+    """The device's camera with ``poses`` (K, 4, 4; world) at these knots.
+
+    Raises InputError for a size below 1 px and for a field of view not in (0, pi) rad.
+    """
     width, height = size_px
     if width < 1 or height < 1:
         raise InputError(problem("size_px", "picture size", f"{width}x{height}", "at least 1x1"))
     if not 0 < camera.yfov_rad < np.pi:
         raise InputError(problem("camera", "vertical field of view", camera.yfov_rad, "0 to pi rad, both excluded"))
-    poses = np.asarray(camera.pose(np.asarray(times_s, np.float64)), np.float64)
-    if not np.isfinite(poses).all():
-        raise InputError(problem("camera", "pose", "values that are not finite", "finite numbers"))
     matrices = np.zeros((1, len(times_s), 3, 4))
     matrices[0, :, :, :3] = poses[:, :3, :3] / np.linalg.norm(poses[:, :3, :3], axis=1, keepdims=True)
     matrices[0, :, :, 3] = space.points(poses[:, :3, 3])

@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from renderers.backend import dr, mi
-from renderers.camera import CameraState, Ray, camera_state, forward_axis, primary_ray, project
+from renderers.camera import CameraState, Ray, camera_poses, camera_state, forward_axis, primary_ray, project
 from renderers.frozen import opaque_float, opaque_uint
 from renderers.lights import LightArrays, light_arrays, sorted_lights
 from renderers.materials import MaterialArrays, material_arrays
@@ -147,6 +147,8 @@ class Engine:
         self.lights_move = any(light.track is not None for light in scene.lights)
         self._materials = material_arrays(self.tracer.materials)
         self._constants: tuple[Any, ...] | None = None
+        self._unmoved_lights: LightArrays | None = None
+        self._posed: tuple[View, np.ndarray] | None = None
         self._trapped = opaque_uint(np.zeros(len(STAGES))) if debug else None
         self.indirect: ProbeGrid | None = ProbeGrid(self) if lighting == "probes" else None
 
@@ -183,6 +185,21 @@ class Engine:
         mirrors = self.requirements.mirrors and self.lighting != "ambient_occlusion"
         return mirrors or self.requirements.transparency
 
+    def camera_poses(self, view: View) -> np.ndarray:
+        """(K, 4, 4) float64: the camera in the world at the knots of ``view``, from t0 to t1."""
+        if self._posed is None or self._posed[0] is not view:
+            self._posed = view, camera_poses(view.camera, knot_times(view.t0, view.t1))
+        return self._posed[1]
+
+    def _light_arrays(self, view: View) -> LightArrays:
+        """The lights' table at both ends of the interval, made once where no light moves."""
+        if self._unmoved_lights is not None:
+            return self._unmoved_lights
+        made = light_arrays(self._lights, self.light_groups, self.space, float(view.t0), float(view.t1))
+        if not self.lights_move:
+            self._unmoved_lights = made
+        return made
+
     def state(self, view: View, size_px: tuple[int, int] | None = None) -> EngineState:
         """The state of ``view`` for a picture of ``size_px`` (default: the view's), evaluated in float64 on the host.
 
@@ -203,8 +220,10 @@ class Engine:
             arrays=self.tracer.arrays,
             materials=self._materials,
             poses=poses,
-            camera=camera_state(view.camera, self.space, times_s, view.size_px if size_px is None else size_px),
-            lights=light_arrays(self._lights, self.light_groups, self.space, float(view.t0), float(view.t1)),
+            camera=camera_state(
+                view.camera, self.camera_poses(view), self.space, times_s, view.size_px if size_px is None else size_px
+            ),
+            lights=self._light_arrays(view),
             ambient=self._constants[0],
             background=self._constants[1],
             ao_radius=self._constants[2],

@@ -10,6 +10,7 @@ from __future__ import annotations
 import gc
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -30,17 +31,32 @@ def plain_values(value: Any) -> str:
     Dr.Jit 1.5 keys a recording by the *set* of Python objects among its arguments: ``f(x, 1, 2, 1)`` replays what was
     recorded for ``f(x, 1, 2, 2)``, silently, because the last 1 was met before. This string is a new object each time.
     """
-    if value is None or isinstance(value, bool | int | float | str):
+    kind = type(value)
+    names = _field_names(kind)
+    if names is not None:
+        return f"{kind.__name__}({','.join([plain_values(getattr(value, name)) for name in names])})"
+    if kind in _PLAIN:
         return repr(value)
-    if isinstance(value, tuple | list):
-        return "[" + ",".join(map(plain_values, value)) + "]"
-    if isinstance(value, dict):
-        return "{" + ",".join(f"{key!r}:{plain_values(item)}" for key, item in value.items()) + "}"
-    if hasattr(type(value), "DRJIT_STRUCT"):
-        return "(" + ",".join(plain_values(getattr(value, name)) for name in type(value).DRJIT_STRUCT) + ")"
-    if is_dataclass(value) and not isinstance(value, type):
-        return type(value).__name__ + "(" + ",".join(plain_values(getattr(value, f.name)) for f in fields(value)) + ")"
-    return type(value).__name__
+    if kind is tuple or kind is list:
+        return f"[{','.join([plain_values(item) for item in value])}]"
+    if kind is dict:
+        return f"{{{','.join([f'{key!r}:{plain_values(item)}' for key, item in value.items()])}}}"
+    if isinstance(value, int | float | str):  # numpy's floats, enumerations
+        return repr(value)
+    if isinstance(value, tuple | list):  # named tuples
+        return f"{kind.__name__}[{','.join([plain_values(item) for item in value])}]"
+    return kind.__name__
+
+
+_PLAIN = frozenset({type(None), bool, int, float, str})
+
+
+@cache
+def _field_names(kind: type) -> tuple[str, ...] | None:
+    """What is looked into in a value of this type by name (Dr.Jit structures, dataclasses); None: it has no names."""
+    if hasattr(kind, "DRJIT_STRUCT"):
+        return tuple(kind.DRJIT_STRUCT)
+    return tuple(field.name for field in fields(kind)) if is_dataclass(kind) else None
 
 
 class Frozen:

@@ -14,7 +14,7 @@ import numpy as np
 
 from renderers.backend import dr, mi
 from renderers.engine import Engine, EngineState
-from renderers.frozen import frozen
+from renderers.frozen import frozen, opaque_uint
 from renderers.parameters import TemporallyDense as TemporallyDenseParameters
 from renderers.pixels import tile_order
 from renderers.rng import combined
@@ -26,10 +26,9 @@ from renderers.vanilla import frame_seed, ray_counts
 from stimuli.errors import InputError, problem
 
 
-def camera_moved(view: View) -> bool:
-    """Whether the camera's pose or field at t1 is another than at t0."""
-    poses = view.camera.pose(np.array([float(view.t0), float(view.t1)]))
-    return not np.array_equal(poses[0], poses[1])
+def camera_moved(poses: np.ndarray) -> bool:
+    """Whether the camera's pose (K, 4, 4: from t0 to t1) at t1 is another than at t0."""
+    return not np.array_equal(poses[0], poses[-1])
 
 
 class TemporallyDense:
@@ -52,6 +51,7 @@ class TemporallyDense:
         self._watch = Stopwatch(measure, dr.sync_thread)
         self._trace_kernel, self._compose_kernel = frozen(self._trace), frozen(compose)
         self._choose_kernel = frozen(self._choose)
+        self._four = [opaque_uint(k) for k in range(4)]
         self.reset(seed)
 
     def reset(self, seed: int) -> None:
@@ -123,11 +123,12 @@ class TemporallyDense:
         if view.cut:
             self._frame = 0
         n = self._frame
-        moving, history = camera_moved(view), n > 0
+        moving, history = camera_moved(self.engine.camera_poses(view)), n > 0
         with self._watch.frame():
             with self._watch.stage("state"):
                 state = self.engine.state(view, self.size_px)
-                subframe, slot, frame, cycle = (mi.UInt32([v]) for v in (n % 4, n // 4 % 4, n + 1, n // 4))
+                subframe, slot = self._four[n % 4], self._four[n // 4 % 4]
+                frame = opaque_uint(n + 1)
                 seed = frame_seed(self._seed, view.index)
             with self._watch.stage("trace"):
                 self._samples, self._motion, rays, clamped = self._trace_kernel(
@@ -142,7 +143,7 @@ class TemporallyDense:
                 self._tile_motion = (mx, my)
                 if n % 4 == 0:
                     self._hourglass = self._choose_kernel(
-                        self.tiles, mx, my, cycle, mi.UInt32([self._seed % (1 << 32)])
+                        self.tiles, mx, my, opaque_uint(n // 4), opaque_uint(self._seed % (1 << 32))
                     )
         self._frame += 1
         return Frame(
@@ -150,7 +151,7 @@ class TemporallyDense:
             rays=ray_counts(self.tiles, rays),
             seconds=dict(self._watch.seconds),
             time_s=float(view.index * (view.t1 - view.t0)),
-            clamped=int(dr.sum(clamped)[0]),
+            clamped=int(np.sum(clamped.numpy(), dtype=np.int64)),  # a reduction on the device would be a third kernel
         )
 
     def show(self, view: View) -> dict[str, np.ndarray]:
@@ -161,7 +162,7 @@ class TemporallyDense:
         subframe = (self._frame - 1) % 4
         hourglass = self._hourglass.numpy().reshape(s.tiles_y, s.tiles_x)
         mx, my = (np.broadcast_to(m.numpy(), self.tiles).reshape(s.tiles_y, s.tiles_x) for m in self._tile_motion)
-        dynamic = (mx**2 + my**2 >= STATIC_PX**2) | camera_moved(view)
+        dynamic = (mx**2 + my**2 >= STATIC_PX**2) | camera_moved(self.engine.camera_poses(view))
         rows, columns = np.mgrid[0 : s.height, 0 : s.width]
         per_tile = {"segmentation": hourglass, "class": dynamic.astype(np.uint32), "motion.X": mx, "motion.Y": my}
         found = {name: values[rows // 2, columns // 2] for name, values in per_tile.items()}
