@@ -31,7 +31,7 @@ def plain_values(value: Any) -> str:
     Dr.Jit 1.5 keys a recording by the *set* of Python objects among its arguments: ``f(x, 1, 2, 1)`` replays what was
     recorded for ``f(x, 1, 2, 2)``, silently, because the last 1 was met before. This string is a new object each time.
     """
-    kind = type(value)
+    kind: Any = type(value)
     names = _field_names(kind)
     if names is not None:
         return f"{kind.__name__}({','.join([plain_values(getattr(value, name)) for name in names])})"
