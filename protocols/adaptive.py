@@ -13,7 +13,6 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-from scipy.special import expit
 
 from protocols.blocks import WORD_KINDS, Block
 from protocols.cells import block_cells
@@ -22,6 +21,12 @@ from protocols.study import Study, varied_name
 from protocols.trial import Trial
 
 Procedure = Generator[Trial, str | None, None]
+
+
+def _logistic(x: Any) -> Any:
+    from scipy.special import expit  # a fifth of a second, which most protocols need not wait for
+
+    return expit(x)
 
 
 @dataclass(frozen=True)
@@ -82,7 +87,7 @@ def quest_plus(
     x = np.linspace(1.0, 0.0, len(values))
     thresholds = np.linspace(-0.25, 1.25, 41)
     slopes = np.geomspace(2.0, 200.0, 15)
-    right = expit(slopes[None, None, :] * (x[:, None, None] - thresholds[None, :, None]))
+    right = _logistic(slopes[None, None, :] * (x[:, None, None] - thresholds[None, :, None]))
     right = guess + (1 - guess - lapse) * right  # (values, thresholds, slopes)
     posterior = np.full(right.shape[1:], 1 / right[0].size)
     shown: list[float] = []
@@ -159,7 +164,7 @@ def _strengths(wins: np.ndarray, prior_sd: float) -> tuple[np.ndarray, np.ndarra
     theta = np.zeros(n)
     games = wins + wins.T
     for _ in range(50):
-        p = expit(theta[:, None] - theta[None, :])
+        p = _logistic(theta[:, None] - theta[None, :])
         gradient = wins.sum(axis=1) - (games * p).sum(axis=1) - theta / prior_sd**2
         weight = games * p * (1 - p)
         hessian = np.diag(weight.sum(axis=1) + 1 / prior_sd**2) - weight
@@ -177,7 +182,7 @@ _WEIGHTS = _WEIGHTS / _WEIGHTS.sum()
 def _information(mean: np.ndarray, covariance: np.ndarray, i: int, j: int) -> float:
     """Mutual information (nats) between the answer of pair (i, j) and the strengths."""
     variance = float(covariance[i, i] + covariance[j, j] - 2 * covariance[i, j])
-    p = expit(float(mean[i] - mean[j]) + math.sqrt(max(variance, 0.0)) * _NODES)
+    p = _logistic(float(mean[i] - mean[j]) + math.sqrt(max(variance, 0.0)) * _NODES)
     return _entropy(float(_WEIGHTS @ p)) - float(_WEIGHTS @ np.array([_entropy(float(v)) for v in p]))
 
 

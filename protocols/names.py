@@ -7,10 +7,11 @@ from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
 from protocols.study import Study
+from stimuli.clip_request import PATH_NAMES
 
 Loc = tuple[str | int, ...]
 Problem = tuple[Loc, str, str, str]
-FIXED_PATHS = frozenset({"file", "still", "sway", "toycar", "interactive"})
+FIXED_PATHS = frozenset(PATH_NAMES)
 OWN_COLUMNS = frozenset({"scene", "condition", "technique", "path", "fixation", "side", "pair", "repetition", "block"})
 
 

@@ -16,12 +16,12 @@ from ruamel.yaml.error import YAMLError
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
+from stimuli.clip_request import PATH_NAMES
 from stimuli.errors import InputError, problem
 from stimuli.gltf_animation import compose, slerp, unit
 from stimuli.light_files import look_at
 from stimuli.scene import CameraPath, Mover, Scene, StillCamera
 
-PATH_NAMES = ("file", "still", "sway", "toycar", "interactive")
 PATH_VERSION = 1
 """Raised by hand whenever a named path would move the camera in another way."""
 SWAY_PERIOD_S = 4.0

@@ -12,6 +12,8 @@ from typing import Any
 ENGINE_VERSION = 1
 """Raised by hand whenever the same request would give other pixels."""
 
+PATH_NAMES = ("file", "still", "sway", "toycar", "interactive")
+"""Camera paths that need no keys (`stimuli.camera_path`)."""
 CHANNEL_GROUPS: Mapping[str, tuple[str, ...]] = {
     "depth": ("Z",), "motion": ("motion.X", "motion.Y"), "samples": ("samples",),
 }  # fmt: skip

@@ -22,10 +22,9 @@ from protocols.requests import ClipSpec, clip_spec, clip_specs
 from protocols.study import Study
 from protocols.trial import Trial
 from renderers.catalogue import CATALOGUE
-from stimuli.camera_path import PATH_NAMES
 from stimuli.clip import Clip, ClipStore, write_json
 from stimuli.clip_job import ClipJob
-from stimuli.clip_request import ENGINE_VERSION, ClipRequest
+from stimuli.clip_request import ENGINE_VERSION, PATH_NAMES, ClipRequest
 from stimuli.encode import DisplayTable
 from stimuli.errors import InputError, problem
 from stimuli.play_cache import PlayCache, PlayedClip
@@ -48,17 +47,6 @@ class StudyClips:
     jobs: tuple[ClipJob, ...]
     scenes: Mapping[str, str]
     notes: tuple[str, ...]
-
-
-def store_directory(protocol: str | Path, given: str | None = None) -> Path:
-    """--store, else $STUDYAPP_STORE, else .clips beside the protocol (for shipped protocols, in the current folder)."""
-    if given:
-        return Path(given)
-    if os.environ.get("STUDYAPP_STORE"):
-        return Path(os.environ["STUDYAPP_STORE"])
-    file = library_path(protocol)
-    shipped = Path(library_path("demo")).parent
-    return (Path.cwd() if file.parent == shipped else file.parent) / ".clips"
 
 
 def resolve_clips(study: Study, protocol: str | Path, store: ClipStore) -> StudyClips:

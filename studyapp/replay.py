@@ -14,11 +14,11 @@ from protocols.load import library_path, read_study
 from protocols.trial import Trial
 from stimuli.clip import ClipStore
 from stimuli.errors import InputError, problem
-from studyapp.clips import store_directory
 from studyapp.lab_file import table_of
 from studyapp.live_sources import LiveSources, RecordedGaze
 from studyapp.session_file import read_header
 from studyapp.session_header import sha256_text
+from studyapp.store_root import store_directory
 
 
 @dataclass(frozen=True)

@@ -25,12 +25,12 @@ from studyapp.clips import (
     measured_read_rate,
     resolve_clips,
     sources_for,
-    store_directory,
     store_problems,
     with_clips,
 )  # fmt: skip
 from studyapp.gaze.angles import ScreenGeometry
 from studyapp.seams import FrameSource, GazeSource
+from studyapp.store_root import store_directory
 
 if TYPE_CHECKING:  # the ray engine is loaded only where a panel is live
     from studyapp.live_sources import LiveSources

@@ -16,6 +16,7 @@ from protocols.load import library_path, load_study
 from protocols.study import Study
 from stimuli.errors import InputError, problem
 from stimuli.procedural import SCENES
+from studyapp.store_root import store_directory
 
 HELP = "find every mistake in a protocol, or print its plan in numbers"
 EXAMPLE = "studyapp check demo"
@@ -65,12 +66,14 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _luminance(study: Study, args: argparse.Namespace) -> list[str]:
+    root = store_directory(args.protocol, args.store)
+    if not root.is_dir():
+        return []
+    # Only now: the formats of clips take longer to import than a protocol takes to check.
     from stimuli.clip import ClipStore
-    from studyapp.clips import store_directory
     from studyapp.stored_luminance import stored_luminance_problems
 
-    root = store_directory(args.protocol, args.store)
-    return stored_luminance_problems(study, ClipStore(root)) if root.is_dir() else []
+    return stored_luminance_problems(study, ClipStore(root))
 
 
 def named_reasons(given: list[str]) -> dict[str, str]:

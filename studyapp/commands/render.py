@@ -11,7 +11,8 @@ from stimuli.clip import ClipStore, estimate_disk
 from stimuli.clip_request import CHANNEL_GROUPS
 from stimuli.errors import InputError, problem
 from studyapp.cli import JobFailed
-from studyapp.clips import StudyClips, resolve_clips, store_directory
+from studyapp.clips import StudyClips, resolve_clips
+from studyapp.store_root import store_directory
 
 HELP = "render the clips of a protocol that the store lacks"
 EXAMPLE = "studyapp render demo --workers 2"

@@ -1,12 +1,16 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from studyapp.cli import main
 from tests.protocols.tiny import TEXT
+
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture
@@ -72,3 +76,14 @@ def test_techniques_lists_parameters_ranges_and_defaults(capsys: pytest.CaptureF
     assert (spp["type"], spp["range"], spp["knob"]) == ("whole number", ">= 1, <= 65536", True)
     assert main(["techniques"]) == 0
     assert "spp" in capsys.readouterr().out
+
+
+def test_check_waits_for_no_renderer_and_no_clip_format() -> None:
+    """What takes longer to import than a protocol takes to check is imported where it is needed."""
+    code = (
+        "import sys; from studyapp.cli import main; main(['check', 'demo', '--store', 'nowhere']); print(*sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    loaded = {name.split(".")[0] for name in done.stdout.splitlines()[-1].split()}
+    assert {"numpy", "pydantic"} <= loaded
+    assert loaded.isdisjoint({"scipy", "numba", "pyrender", "trimesh", "OpenEXR", "drjit", "mitsuba", "matplotlib"})

@@ -26,9 +26,10 @@ from protocols.study import Study
 from stimuli.clip import ClipStore
 from stimuli.play_cache import PlayCache
 from studyapp.cli import main
-from studyapp.clips import resolve_clips, store_directory
+from studyapp.clips import resolve_clips
 from studyapp.picture_errors import PictureErrors
 from studyapp.seams import FrameSource
+from studyapp.store_root import store_directory
 
 PROTOCOL = """\
 study: pictures

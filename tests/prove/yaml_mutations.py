@@ -8,8 +8,10 @@ from __future__ import annotations
 import contextlib
 import io
 import json
+import os
 import re
 import resource
+import subprocess
 import sys
 import tempfile
 import time
@@ -44,11 +46,13 @@ VALUES = (
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one mutated file did. ``seconds``: of the processor, so that a busy machine does not count."""
+    """What one mutated file did. ``seconds``: of the processor, so that a busy machine does not count; ``wall_s``: as
+    somebody who waits would count."""
 
     kind: str
     code: int
     seconds: float
+    wall_s: float
     said: str
     line: int | None  # of the planted mistake, where it must be named there
 
@@ -133,10 +137,11 @@ def run(count: int, seed: int = 0) -> list[Outcome]:
             file = Path(folder) / f"m{index}.yaml"
             file.write_text(text, encoding="utf-8")
             out, err = io.StringIO(), io.StringIO()
-            start = time.process_time()
+            start, began = time.process_time(), time.perf_counter()
             with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
                 code = main(["check", str(file)])
-            outcomes.append(Outcome(kind, code, time.process_time() - start, err.getvalue(), line))
+            took, waited = time.process_time() - start, time.perf_counter() - began
+            outcomes.append(Outcome(kind, code, took, waited, err.getvalue(), line))
             file.unlink()
     return outcomes
 
@@ -158,18 +163,50 @@ def faults(outcomes: list[Outcome], limit_s: float = LIMIT_S) -> list[str]:
     return found
 
 
+def fresh(count: int, seed: int = 2) -> list[tuple[float, float, float]]:
+    """(wall s, processor s, peak MB) of the command in ``count`` processes of its own, as the user starts it."""
+    sources = [file.read_text(encoding="utf-8") for file in sorted(LIBRARY.glob("*.yaml"))]
+    found = []
+    with tempfile.TemporaryDirectory() as folder:
+        for index in range(count):
+            rng = np.random.Generator(np.random.Philox(np.random.SeedSequence([seed, index])))
+            file = Path(folder) / f"m{index}.yaml"
+            file.write_text(mutate(sources[index % len(sources)], KINDS[index % len(KINDS)], rng)[0], encoding="utf-8")
+            began = time.perf_counter()
+            child = subprocess.Popen(
+                [sys.executable, "-m", "studyapp", "check", str(file)],
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+            )
+            _, status, used = os.wait4(child.pid, 0)
+            child.returncode = os.waitstatus_to_exitcode(status)
+            assert child.returncode in (0, 2), (index, child.returncode)
+            found.append((time.perf_counter() - began, used.ru_utime + used.ru_stime, used.ru_maxrss / 1024))
+    return found
+
+
 def prove(count: int = 2000) -> dict[str, object]:
     """The full-length evidence."""
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     outcomes = run(count)
+    alone = np.array(fresh(max(1, count // 20)))
     codes = Counter((o.kind, o.code) for o in outcomes)
     return {
         "files": count,
         "exit_codes": {f"{kind} {code}": n for (kind, code), n in sorted(codes.items())},
         "slowest_processor_s": max(o.seconds for o in outcomes),
+        "slowest_wall_s": max(o.wall_s for o in outcomes),
+        "in_processes_of_their_own": {
+            "files": len(alone),
+            "slowest_wall_s": alone[:, 0].max(),
+            "slowest_processor_s": alone[:, 1].max(),
+            "peak_mb": alone[:, 2].max(),
+        },
+        "load_average": os.getloadavg(),
         "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
         "peak_before_mb": before,
-        "faults": faults(outcomes),
+        "faults": faults(outcomes)
+        + [f"a process of its own: {p:.2f} s, {mb:.0f} MB" for _, p, mb in alone if p > LIMIT_S or mb > LIMIT_MB],
     }
 
 

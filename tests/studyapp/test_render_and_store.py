@@ -21,10 +21,10 @@ from studyapp.clips import (
     memory_problems,
     resolve_clips,
     sources_for,
-    store_directory,
     store_problems,
     with_clips,
 )
+from studyapp.store_root import store_directory
 from studyapp.stored_sources import StoredSources
 from tests.stimuli.test_clip import DAMAGE, files_of
 
