@@ -298,7 +298,7 @@ def test_a_thousand_trials_are_planned_in_a_second() -> None:
             rating(factors=factors, order={"max_in_a_row": {"scene": 3, "condition": 2}, "min_distance": {"cell": 4}})
         ]
     )
-    start = time.perf_counter()
+    start = time.process_time()  # other work on the machine does not count
     trials = plan(study, 1)
-    assert time.perf_counter() - start < 1.0
+    assert time.process_time() - start < 1.0
     assert len(trials) == 1080

@@ -176,7 +176,7 @@ def tables(protocol: Path) -> tuple[Study, Mapping[str, PictureErrors]]:
 
 
 def prove(
-    folder: Path, metrics: tuple[str, ...] = ("rmse",), participants: int = 15, size: str = "[64, 48]"
+    folder: Path, metrics: tuple[str, ...] = ("rmse", "flip"), participants: int = 15, size: str = "[64, 48]"
 ) -> dict[str, Any]:
     """The evidence: for each metric and fault, win share with and without it, and p."""
     out: dict[str, Any] = {"participants": participants, "faults": []}
