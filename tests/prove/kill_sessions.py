@@ -48,6 +48,7 @@ blocks:
     questions: [which]
 """
 TRIALS = 180
+SESSION = "killed_p1_1.sqlite"
 
 
 @dataclass(frozen=True)
@@ -64,26 +65,35 @@ class Round:
     problems: list[str]
 
 
-def one_round(folder: Path, victim: str, after_s: float) -> Round:
-    """Start, kill, look, resume until complete."""
+def session_arguments(folder: Path, data: Path) -> list[str]:
+    """The command of a session whose protocol lies in ``folder`` and whose file goes to ``data``."""
     protocol = folder / "killed.yaml"
     protocol.write_text(STUDY)
+    return [sys.executable, "-m", "studyapp", "run", str(protocol), "--participant", "1", "--display", "virtual",
+            "--observer", "simulated", "--data", str(data)]  # fmt: skip
+
+
+def start(arguments: list[str], folder: Path) -> tuple[subprocess.Popen[str], dict[str, int]]:
+    """The session's process, and those that it has started by role, once it has begun."""
     pids_file = folder / "pids.json"
-    arguments = [sys.executable, "-m", "studyapp", "run", str(protocol), "--participant", "1", "--display", "virtual",
-                 "--observer", "simulated", "--data", str(folder)]  # fmt: skip
+    pids_file.unlink(missing_ok=True)
     process = subprocess.Popen([*arguments, "--pids", str(pids_file)], cwd=ROOT, stderr=subprocess.PIPE, text=True,
                                stdout=subprocess.DEVNULL)  # fmt: skip
     while process.poll() is None:
         try:
-            pids = {**json.loads(pids_file.read_text()), "presenter": process.pid}
-            break
+            return process, {**json.loads(pids_file.read_text()), "presenter": process.pid}
         except (FileNotFoundError, json.JSONDecodeError):
             time.sleep(0.002)
-    else:
-        raise RuntimeError(process.communicate()[1])
+    raise RuntimeError(process.communicate()[1])
+
+
+def one_round(folder: Path, victim: str, after_s: float) -> Round:
+    """Start, kill, look, resume until complete."""
+    arguments = session_arguments(folder, folder)
+    process, pids = start(arguments, folder)
     time.sleep(after_s)
-    path = folder / "killed_p1_1.sqlite"
-    before = _rows(path)
+    path = folder / SESSION
+    before = trial_rows(path)
     if process.poll() is None:
         # A session that has just ended has no process left to kill.
         with contextlib.suppress(ProcessLookupError):
@@ -91,28 +101,35 @@ def one_round(folder: Path, victim: str, after_s: float) -> Round:
     process.communicate()
     problems: list[str] = []
     try:
-        after = _rows(path)
+        after = trial_rows(path)
         readable = True
     except sqlite3.Error as error:
         problems.append(str(error))
         return Round(victim, after_s, len(before), len(before), False, 0, problems)
     lost = len(before - after)
     resumes = 0
-    while not _complete(path) and resumes < 5:
+    while not complete(path) and resumes < 5:
         resumes += 1
         done = subprocess.run([*arguments, "--resume"], cwd=ROOT, capture_output=True, text=True, check=False)
         if done.returncode:
             problems.append(done.stderr.strip()[-200:])
     problems += verify(path)
-    final = _rows(path)
+    final = trial_rows(path)
     lost += len(before - final)
-    cells = Counter(planned for _, planned, status in final if status == "ok")
-    if cells != Counter(range(TRIALS)):
-        problems.append(f"cells: {len(cells)} of {TRIALS}, most often {max(cells.values(), default=0)} times")
+    problems += cell_problems(final)
     return Round(victim, after_s, len(after), lost, readable, resumes, problems)
 
 
-def _rows(path: Path) -> set[tuple[int, int, str]]:
+def cell_problems(rows: set[tuple[int, int, str]]) -> list[str]:
+    """A line where not every cell of the design was well shown exactly once."""
+    cells = Counter(planned for _, planned, status in rows if status == "ok")
+    if cells == Counter(range(TRIALS)):
+        return []
+    return [f"cells: {len(cells)} of {TRIALS}, most often {max(cells.values(), default=0)} times"]
+
+
+def trial_rows(path: Path) -> set[tuple[int, int, str]]:
+    """(presentation, planned trial, status) of every committed trial."""
     db = sqlite3.connect(path, timeout=10)
     try:
         if not has_table(db, "trials"):
@@ -122,7 +139,8 @@ def _rows(path: Path) -> set[tuple[int, int, str]]:
         db.close()
 
 
-def _complete(path: Path) -> bool:
+def complete(path: Path) -> bool:
+    """Is the session's plan done?"""
     db = sqlite3.connect(path)
     try:
         return bool(read_header(db).get("completed_utc"))
