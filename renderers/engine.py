@@ -24,7 +24,8 @@ from renderers.parameters import Probes
 from renderers.polar.probes import ProbeGrid
 from renderers.poses import Poses, knot_times, pose_at
 from renderers.requirements import Requirements, requirements_of
-from renderers.surface import Surface, met_from_behind
+from renderers.samples import FirstHit, Sample
+from renderers.surface import met_from_behind
 from renderers.technique import View
 from renderers.tracer import SceneArrays, Tracer
 from renderers.trap import STAGES
@@ -53,54 +54,6 @@ class EngineState:
     to_world: Any
     indirect: Any = None
     trapped: Any = None
-
-
-@dataclass
-class Sample:
-    """A PyTree: what one ray saw. ``color`` = ``surface`` + ``albedo`` * ``light`` where nothing was clamped.
-
-    ``color``: Color3f linear in [0, 65504]; ``light``: what came from sampled lights or ambient occlusion (the noisy
-    part). ``hit``: Bool; ``t`` (tracer units, inf: none), ``z``: depth along the camera's axis, world units.
-    ``point``, ``normal``, ``normal_geometric``: tracer space, at the ray's time; ``point_local`` in the own space of
-    ``mover`` (0: static). ``motion``: Vector2f px (0 unless asked for). ``clamped``: UInt32. ``rays``: UInt32 a kind.
-    ``mirrored``: the picture here is mostly a reflection; ``mirror_local``, ``mirror_mover``: the reflected hit.
-    """
-
-    color: Any
-    hit: Any
-    t: Any
-    z: Any
-    point: Any
-    point_local: Any
-    mover: Any
-    normal: Any
-    normal_geometric: Any
-    albedo: Any
-    light: Any
-    surface: Any
-    material: Any
-    motion: Any
-    clamped: Any
-    mirrored: Any
-    mirror_local: Any
-    mirror_mover: Any
-    direction: Any
-    rays: dict[str, Any]
-
-
-@dataclass
-class FirstHit:
-    """A PyTree: light leaving the first thing on a ray, without what mirrors and see-through surfaces add.
-
-    ``color``: Color3f; ``hit``: Bool; ``t``: tracer units; ``back``: the face was met from behind; ``shadow``: rays.
-    """
-
-    color: Any
-    hit: Any
-    t: Any
-    surface: Surface
-    back: Any
-    shadow: Any
 
 
 class Engine:

@@ -8,11 +8,12 @@ from typing import Any, ClassVar
 import numpy as np
 
 from renderers.backend import dr, mi
-from renderers.engine import Engine, EngineState, Sample
+from renderers.engine import Engine, EngineState
 from renderers.frozen import frozen, opaque_float, opaque_uint
 from renderers.parameters import Vanilla as VanillaParameters
 from renderers.pixels import pixel_centres, tile_order
 from renderers.rng import combined
+from renderers.samples import Sample
 from renderers.stopwatch import Stopwatch
 from renderers.technique import Frame, LazyCounts, Measure, View
 from stimuli.errors import InputError, problem

@@ -14,9 +14,10 @@ import numpy as np
 
 from renderers.backend import dr, mi
 from renderers.camera import Ray
-from renderers.engine import Engine, EngineState, Sample
+from renderers.engine import Engine, EngineState
 from renderers.frozen import opaque_uint
 from renderers.parameters import Probes
+from renderers.samples import Sample
 from stimuli.errors import InputError, problem
 from stimuli.scene import Scene
 
