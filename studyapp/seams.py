@@ -70,8 +70,8 @@ class FrameSource(Protocol):
 
 @dataclass(frozen=True)
 class Press:
-    """A decoded press. ``host_ns``: when our reader had the last byte; ``mapped_ns``: the device's stamp on the
-    session clock (host_ns where the device has none); ``raw``: the very bytes it was decoded from."""
+    """A decoded press. ``host_ns``: when our reader had the last byte; ``mapped_ns``: the device's stamp on the session
+    clock (where it has none, host_ns less a byte's time on the line); ``raw``: the very bytes it was decoded from."""
 
     key: str
     host_ns: int

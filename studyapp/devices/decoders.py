@@ -161,6 +161,15 @@ BYTE_BOXES: dict[str, ByteBox] = {
 }
 
 
+BITS_A_BYTE = 10
+"""On the line: a start bit, eight of data, a stop bit (8N1)."""
+
+
+def byte_ns(baud: int) -> int:
+    """How long one byte is on its way: a press was made so much before its byte is whole."""
+    return round(BITS_A_BYTE * 1e9 / baud)
+
+
 class ByteDecoder:
     """Edges of the button bits of a `ByteBox`; bytes with undefined bits change nothing."""
 

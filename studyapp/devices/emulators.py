@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from studyapp.clock import now_ns
-from studyapp.devices.decoders import BYTE_BOXES, xid_packet
+from studyapp.devices.decoders import BYTE_BOXES, byte_ns, xid_packet
 from studyapp.gaze.angles import ScreenGeometry
 from studyapp.ring import leave_interrupts_to_the_session, spawn_context
 
@@ -77,7 +77,7 @@ class BoxFirmware:
 
 def emulate_box(pipe: Connection, kind: str, model: str, drift_ppm: float) -> None:
     """The process of a box on a pseudo-terminal. Told ('press', key, at_ns), ('noise', bytes) or ('flood', hz, s); says
-    ('port', name) at first and ('pressed', key, ns) after each."""
+    ('port', name) at first and ('pressed', key, ns) after each. A byte box's byte takes as long as on a real line."""
     leave_interrupts_to_the_session()
     master, slave = os.openpty()
     tty.setraw(master)
@@ -86,6 +86,7 @@ def emulate_box(pipe: Connection, kind: str, model: str, drift_ppm: float) -> No
     firmware = BoxFirmware(kind, model, drift_ppm)
     due: list[tuple[int, str, bool]] = []
     down: set[str] = set()
+    on_its_way_ns = byte_ns(BYTE_BOXES[kind].baud) if kind in BYTE_BOXES else 0
     told = True  # a flood's presses are not reported one by one: nobody reads so many
     try:
         while True:
@@ -98,6 +99,9 @@ def emulate_box(pipe: Connection, kind: str, model: str, drift_ppm: float) -> No
             while due and due[0][0] <= now_ns():
                 _, key, pressed = due.pop(0)
                 written_ns = now_ns()
+                # Shorter than the system's shortest sleep.
+                while now_ns() < written_ns + on_its_way_ns:
+                    pass
                 # A key that goes down again comes up first; one that is up already stays so.
                 if key in down:
                     down.discard(key)

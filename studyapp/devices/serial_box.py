@@ -11,7 +11,7 @@ from serial.tools import list_ports
 from studyapp.clock import now_ns
 from studyapp.devices import cedrus_xid
 from studyapp.devices.clock_model import ClockFit, ClockModel
-from studyapp.devices.decoders import BYTE_BOXES, LINE_BOXES, Decoder, XidDecoder, decoder_for
+from studyapp.devices.decoders import BYTE_BOXES, LINE_BOXES, Decoder, XidDecoder, byte_ns, decoder_for
 from studyapp.devices.device import Batch, DeviceEvent, DeviceGone, DeviceSpec, silence_limit_s
 from studyapp.seams import Press
 
@@ -34,6 +34,8 @@ class SerialBox:
         self._malformed = 0
         self._baud = int(spec.options.get("baud", _default_baud(spec.kind)))
         self._start_stop = BYTE_BOXES.get(spec.kind)
+        # Boxes without a clock: 0.09 ms at 115200 baud, 0.52 ms at 19200.
+        self._on_its_way_ns = 0 if self._start_stop is None else byte_ns(self._baud)
         try:
             self._line = serial.Serial(spec.port, self._baud, timeout=0, write_timeout=0.5)
         except (serial.SerialException, OSError, ValueError) as error:
@@ -94,7 +96,7 @@ class SerialBox:
 
     def _mapped(self, device_s: float | None, host_ns: int) -> int:
         if device_s is None or self._clock is None:
-            return host_ns
+            return host_ns - self._on_its_way_ns
         if not self._query:
             self._clock.arrival(device_s, host_ns)
             self._fit = self._clock.fit()

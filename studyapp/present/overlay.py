@@ -238,9 +238,7 @@ def paint_question(question: Question, display_px: tuple[int, int], geometry: Vi
         answers = list(question.options) or list(question.keys.values())
     keys = [key_of.get(answer, answer) for answer in answers]
     plain = ["" if key == answer else _plain(question, answer) for key, answer in zip(keys, answers, strict=True)]
-    cells = [
-        (key, question.labels.get(answer, word)) for key, answer, word in zip(keys, answers, plain, strict=True)
-    ]
+    cells = [(key, question.labels.get(answer, word)) for key, answer, word in zip(keys, answers, plain, strict=True)]
     letters = question.text + "".join(key + label for key, label in cells)
 
     def paint(font: ImageFont.FreeTypeFont, width: int) -> Image.Image | None:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from studyapp.clock import now_ns
-from studyapp.devices.decoders import BOX_KINDS
+from studyapp.devices.decoders import BOX_KINDS, BYTE_BOXES, byte_ns
 from studyapp.devices.device import DeviceSpec
 from studyapp.devices.device_reader import DeviceReader
 from studyapp.devices.emulators import Emulator, box_emulator, gaze_emulator
@@ -64,6 +64,9 @@ def test_every_box_is_read_through_a_pseudo_terminal(kind: str, running: list[Em
     truth = [message[2] for message in box.heard() if message[0] == "pressed"]
     errors_ms = [(press.mapped_ns - at) * 1e-6 for press, at in zip(got, truth, strict=True)]
     assert all(press.raw and press.host_ns >= press.mapped_ns for press in got)
+    if kind in BYTE_BOXES:
+        late_ns = {press.host_ns - press.mapped_ns for press in got}
+        assert late_ns == {byte_ns(BYTE_BOXES[kind].baud)}
     # On a machine shared with other work a read may be late; the box's own clock may not.
     assert np.median(errors_ms) < 5.0
     assert [kind for kind, _ in events(reader)].count("press") == 4
