@@ -250,11 +250,13 @@ class _Reader:
             return text in _TRUE
         if _INT.fullmatch(text):
             return int(text)
-        if _FLOAT.fullmatch(text):
+        wide = _WIDE.fullmatch(text) is not None
+        if not wide and _FLOAT.fullmatch(text):
             value = float(text)
             if math.isfinite(value):
                 return value
-        if _WIDE.fullmatch(text) or _FLOAT.fullmatch(text):
+            wide = True
+        if wide:
             self.problems.append(problem(mark, "number", text[:40], "a finite decimal number of at most 18 digits"))
             return None
         return text

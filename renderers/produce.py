@@ -16,6 +16,7 @@ from typing import Any
 
 from tqdm import tqdm
 
+from renderers.admission import admit, free_bytes
 from renderers.catalogue import CATALOGUE
 from renderers.render_unit import RENDERER, command_for, merge_blocks
 from renderers.units import Unit, block_sizes, plan_units, units_by_frames
@@ -105,6 +106,18 @@ def _missing(store: ClipStore, jobs: Sequence[ClipJob]) -> tuple[list[ClipJob], 
     return todo, kept, damaged
 
 
+def _admit(jobs: Sequence[ClipJob], workers: int) -> None:
+    """InputError, a line each, for clips whose pictures do not fit into the memory that ``workers`` share."""
+    problems: dict[str, None] = {}
+    for job in jobs:
+        try:
+            admit(job.request.technique, job.request.size_px, free_bytes() // workers)
+        except InputError as error:
+            problems |= dict.fromkeys(error.problems)
+    if problems:
+        raise InputError(*problems)
+
+
 def produce(
     jobs: Sequence[ClipJob],
     store: ClipStore,
@@ -116,13 +129,16 @@ def produce(
     """Make every clip of ``jobs`` that is not whole in ``store``.
 
     ``workers`` 1: in this process with all its threads; more: processes of one thread each; ``cluster``: a Dask
-    scheduler's address instead. A failing unit does not stop the others. InputError for wrong input.
+    scheduler's address instead. A failing unit does not stop the others. InputError for wrong input, and
+    (before anything is made) for pictures that do not fit into memory.
     """
     if workers < 1:
         raise InputError(problem("render", "workers", workers, "at least 1"))
     with only_producer(store):
         store.clear_abandoned()
         todo, kept, damaged = _missing(store, jobs)
+        if cluster is None:  # what a cluster's machines have is theirs to know
+            _admit(todo, min(workers, max(len(todo), 1)))
         for job in todo:
             write_job(store, job)
         work = _Work(store, todo, {"workers": workers, "cluster": cluster is not None})

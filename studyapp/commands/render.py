@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import shutil
+from pathlib import Path
 
 from protocols.condition_references import channel_problems
 from protocols.load import load_study
@@ -53,6 +55,9 @@ def run(args: argparse.Namespace) -> int:
         f"({estimate.frames} frames); at most {estimate.exr_bytes / 1e6:.0f} MB in {store.root}, "
         f"and {estimate.play_bytes / 1e6:.0f} MB to play them"
     )
+    free = free_disk_bytes(store.root)
+    if estimate.exr_bytes + estimate.play_bytes > free:
+        print(f"note: {free / 1e6:.0f} MB are free there; lossless compression may or may not make it fit")
     if args.estimate:
         return 0
     if args.reference_error is not None:
@@ -71,6 +76,12 @@ def run(args: argparse.Namespace) -> int:
         clips_lost = len({unit.identity for unit in outcome.poisoned})
         raise JobFailed(f"{len(outcome.poisoned)} units of {clips_lost} clips failed; the others are made")
     return 0
+
+
+def free_disk_bytes(folder: Path) -> int:
+    """Free bytes where ``folder`` is or will be."""
+    there = next(parent for parent in [folder, *folder.absolute().parents] if parent.is_dir())
+    return shutil.disk_usage(there).free
 
 
 def with_channels(study: Study, text: str) -> Study:

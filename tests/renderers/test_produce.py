@@ -211,3 +211,12 @@ def test_unit_command_refuses_what_was_never_begun(store, capsys):
 
     assert main(["--store", str(store.root), "ab" * 32, "frames-000000-000001"]) == 2
     assert "wanted one that studyapp render has begun" in capsys.readouterr().err
+
+
+def test_pictures_that_do_not_fit_are_refused_before_anything_is_made(tmp_path):
+    store = ClipStore(tmp_path)
+    jobs = [ClipJob(request(4, size_px=(60_000, 60_000), technique=name), "") for name in ("vanilla", "taa")]
+    with pytest.raises(InputError, match=r"60000x60000, for which taa needs \d+ bytes") as caught:
+        produce(jobs, store, bar=False, renderer=TOY)
+    assert len(caught.value.problems) == 2
+    assert not (tmp_path / "parts").exists()
