@@ -19,7 +19,7 @@ from renderers.camera import CameraState, Ray, camera_poses, camera_state, forwa
 from renderers.frozen import opaque_float, opaque_uint
 from renderers.lights import LightArrays, light_arrays, sorted_lights
 from renderers.materials import MaterialArrays, material_arrays
-from renderers.motion import background_motion, reflected_motion, surface_motion
+from renderers.motion import Place, background_motion, reflected_motion, surface_motion
 from renderers.parameters import Probes
 from renderers.polar.probes import ProbeGrid
 from renderers.poses import Poses, knot_times, pose_at
@@ -156,7 +156,8 @@ class Engine:
     def state(self, view: View, size_px: tuple[int, int] | None = None) -> EngineState:
         """The state of ``view`` for a picture of ``size_px`` (default: the view's), evaluated in float64 on the host.
 
-        With more than 4 movers a state's boxes belong to the latest call: use a state before making the next.
+        With more than 4 movers a state's boxes belong to the latest call, and so do the shapes of meshes that deform
+        (those of t1, whatever the rays' own times): use a state before making the next.
         """
         times_s = knot_times(view.t0, view.t1)
         if self._constants is None:
@@ -169,6 +170,7 @@ class Engine:
                 opaque_float(1 / self.space.scale),
             )
         poses = self.tracer.poses(times_s)
+        self.tracer.deform(float(view.t0), float(view.t1))
         state = EngineState(
             arrays=self.tracer.arrays,
             materials=self._materials,
@@ -222,16 +224,14 @@ class Engine:
         ``reflected``: where a mirror makes up most of the picture, the motion of what it shows (needs a sample made
         with ``want_motion``). The background moves with the camera's turning.
         """
-        found = surface_motion(state.camera, state.poses, sample.mover, sample.point_local, sample.hit)
+        place = Place(sample.mover, sample.point_local, sample.point_before)
+        found = surface_motion(state.camera, state.poses, place, sample.hit)
         found = dr.select(sample.hit, found, background_motion(state.camera, sample.direction))
         if not (reflected and self.requirements.mirrors and self.follows_rays):
             return found
         pose = pose_at(state.poses, sample.mover, 0.0)
         normal_local = mi.Vector3f(pose.inverse().normal(sample.normal_geometric))
-        mirrored = reflected_motion(
-            state.camera, state.poses, sample.mover, sample.point_local, normal_local,
-            sample.mirror_mover, sample.mirror_local, sample.mirrored,
-        )  # fmt: skip
+        mirrored = reflected_motion(state.camera, state.poses, place, normal_local, sample.shown, sample.mirrored)
         return dr.select(sample.mirrored, mirrored, found)
 
     def sample(
@@ -257,7 +257,7 @@ class Engine:
         own = shaded.surface + shaded.albedo * shaded.light
         extra = dr.select(seen, 0, state.background)
         counts = {"shadow": shaded.shadow, "ambient_occlusion": shaded.ambient_occlusion}
-        mirror_local, mirror_mover = mi.Point3f(0), mi.UInt32(0)
+        shown = Place(mi.UInt32(0), mi.Point3f(0), mi.Point3f(0))
         mirrored = mi.Bool(False)
         if self.follows_rays:
             # What mirrors and see-through surfaces add.
@@ -266,7 +266,7 @@ class Engine:
             counts["shadow"] += followed["shadow"]
             counts["ambient_occlusion"] += followed["ambient_occlusion"]
             counts["reflection"], counts["transmission"] = followed["reflection"], followed["transmission"]
-            mirror_local, mirror_mover = followed["mirror_local"], followed["mirror_mover"]
+            shown = followed["shown"]
             mirrored = seen & followed["found"] & (mi.luminance(shaded.mirror) > mi.luminance(shaded.albedo))
         zero = dr.select(active, mi.UInt32(0), mi.UInt32(0))
         for kind in ("reflection", "transmission", "probe"):
@@ -283,6 +283,7 @@ class Engine:
             z=dr.select(seen, z, dr.inf),
             point=surface.point,
             point_local=surface.point_local,
+            point_before=surface.point_before,
             mover=hit.mover,
             normal=surface.normal,
             normal_geometric=surface.geometric,
@@ -293,8 +294,7 @@ class Engine:
             motion=mi.Vector2f(0),
             clamped=dr.select(wrong, mi.UInt32(1), mi.UInt32(0)),
             mirrored=mirrored,
-            mirror_local=mirror_local,
-            mirror_mover=mirror_mover,
+            shown=shown,
             direction=ray.d,
             rays=counts,
         )

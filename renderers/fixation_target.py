@@ -68,7 +68,7 @@ def least_depth(scene: Scene, camera: CameraPath, start_s: float, duration_s: fl
     own = directions(camera.yfov_rad, times - start_s)
     away = np.einsum("tij,tj->ti", poses[:, :3, :3], own)
     length = np.linalg.norm(away, axis=1)
-    found = Tracer(scene).trace(poses[:, :3, 3], away / length[:, None], time_s=0.0 if not scene.movers else start_s)
+    found = Tracer(scene).trace(poses[:, :3, 3], away / length[:, None], time_s=start_s)
     depths = np.asarray(found.t, np.float64) / length
     seen = depths[np.isfinite(depths) & (depths > 0)]
     return float(seen.min()) if seen.size else 1.0

@@ -19,8 +19,9 @@ from stimuli.scene import Material, Part, Scene
 class Body:
     """Triangles that move together and are traced together. ``mover`` 0 is the static scene, m is mover m - 1.
 
-    ``hidden`` bodies (see-through or cut-out materials) are never asked by shadow rays. ``positions`` (N, 3) float32 in
-    the body's traced space, ``faces`` (F, 3) uint32 into them, ``face_base`` the global number of face 0.
+    ``hidden`` bodies (see-through or cut-out materials) are never asked by shadow rays; ``deforms``: skinned meshes,
+    whose positions are those of time 0. ``positions`` (N, 3) float32 in the body's traced space, ``faces`` (F, 3)
+    uint32 into them, ``face_base`` the global number of face 0.
     """
 
     mover: int
@@ -28,12 +29,28 @@ class Body:
     positions: np.ndarray
     faces: np.ndarray
     face_base: int
+    deforms: bool = False
+
+
+@dataclass(frozen=True)
+class Deforming:
+    """Where the skinned meshes lie in the arrays: a run of vertices and a run of faces.
+
+    ``order``: the scene's skins (by number) in the order of their vertices.
+    """
+
+    first_vertex: int
+    vertices: int
+    first_face: int
+    faces: int
+    order: tuple[int, ...]
 
 
 @dataclass(frozen=True)
 class Geometry:
     """All bodies. ``vertices`` (N, 8) float32: x y z u nx ny nz v (normal 0: flat); ``faces`` (F, 4) uint32: three
-    vertices and a material; ``colors`` (N, 4) float32 or None; ``spaces``: one `BodySpace` a mover.
+    vertices and a material; ``colors`` (N, 4) float32 or None; ``spaces``: one `BodySpace` a mover; ``deforming``: None
+    without skinned meshes.
     """
 
     bodies: tuple[Body, ...]
@@ -42,6 +59,7 @@ class Geometry:
     colors: np.ndarray | None
     materials: tuple[Material, ...]
     spaces: tuple[BodySpace, ...]
+    deforming: Deforming | None = None
 
 
 def _part_arrays(part: Part, points: np.ndarray, where: str) -> tuple[np.ndarray, np.ndarray]:
@@ -74,11 +92,32 @@ def _colors(part: Part, count: int) -> np.ndarray:
     return out
 
 
+def _deforming(bodies: list[Body], order: tuple[int, ...]) -> Deforming | None:
+    """The run of the bodies that deform (they follow one another)."""
+    if not order:
+        return None
+    first = [body.deforms for body in bodies].index(True)
+    own = [body for body in bodies if body.deforms]
+    return Deforming(
+        first_vertex=sum(len(body.positions) for body in bodies[:first]),
+        vertices=sum(len(body.positions) for body in own),
+        first_face=own[0].face_base,
+        faces=sum(len(body.faces) for body in own),
+        order=order,
+    )
+
+
 def pack(scene: Scene, space: TracerSpace, needs: Requirements) -> Geometry:
     """The arrays of ``scene`` in ``space``. Raises InputError for positions that are not finite and bad indices."""
     spaces = tuple(body_space(mover, space, scene.name) for mover in scene.movers)
-    groups: list[tuple[int, TracerSpace | BodySpace, tuple[Part, ...]]] = [(0, space, scene.static)]
-    groups += [(m + 1, spaces[m], mover.parts) for m, mover in enumerate(scene.movers)]
+    skinned = {skin.part for skin in scene.skins}
+    rigid = tuple(part for number, part in enumerate(scene.static) if number not in skinned)
+    bending = tuple(scene.static[skin.part] for skin in scene.skins)
+    groups: list[tuple[int, TracerSpace | BodySpace, tuple[Part, ...], bool]] = [
+        (0, space, rigid, False), (0, space, bending, True),
+    ]  # fmt: skip
+    groups += [(m + 1, spaces[m], mover.parts, False) for m, mover in enumerate(scene.movers)]
+    order: list[int] = []
     numbers: dict[int, int] = {}
     materials: list[Material] = []
     bodies: list[Body] = []
@@ -86,14 +125,17 @@ def pack(scene: Scene, space: TracerSpace, needs: Requirements) -> Geometry:
     all_faces: list[np.ndarray] = []
     all_colors: list[np.ndarray] = []
     vertex_base = face_base = 0
-    for mover, own, parts in groups:
+    for mover, own, parts, deforms in groups:
         for hidden in (False, True):
-            chosen = [p for p in parts if (is_see_through(p.material) or is_cutout(p.material)) == hidden]
+            chosen = [k for k, p in enumerate(parts) if (is_see_through(p.material) or is_cutout(p.material)) == hidden]
             positions, body_faces, start = [], [], vertex_base
-            for part in chosen:
+            for number in chosen:
+                part = parts[number]
                 vertices, faces = _part_arrays(part, own.points(part_points(part, scene.name)), scene.name)
                 if not len(faces):
                     continue
+                if deforms:
+                    order.append(number)
                 if id(part.material) not in numbers:
                     numbers[id(part.material)] = len(materials)
                     materials.append(part.material)
@@ -109,7 +151,8 @@ def pack(scene: Scene, space: TracerSpace, needs: Requirements) -> Geometry:
             if not positions:
                 continue
             joined = np.concatenate(body_faces)
-            bodies.append(Body(mover, hidden, np.concatenate(positions), joined.astype(np.uint32), face_base))
+            numbered = joined.astype(np.uint32)
+            bodies.append(Body(mover, hidden, np.concatenate(positions), numbered, face_base, deforms))
             face_base += len(joined)
     return Geometry(
         bodies=tuple(bodies),
@@ -118,4 +161,5 @@ def pack(scene: Scene, space: TracerSpace, needs: Requirements) -> Geometry:
         colors=np.concatenate(all_colors) if all_colors else None,
         materials=tuple(materials),
         spaces=spaces,
+        deforming=_deforming(bodies, tuple(order)),
     )

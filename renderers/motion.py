@@ -6,6 +6,7 @@ Mirrors: the reflected point, mirrored at the plane of the first hit (temporally
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 from renderers.backend import dr, mi
@@ -13,14 +14,23 @@ from renderers.camera import CameraState, project, project_at_start
 from renderers.poses import Pose, Poses, pose_at, pose_at_start
 
 
+@dataclass
+class Place:
+    """A PyTree: a point of ``mover``'s own space, at t1 and, another one only on a mesh that deforms, at t0."""
+
+    mover: Any
+    now: Any
+    before: Any
+
+
 def _ends(poses: Poses, mover: Any, active: Any) -> tuple[Pose, Pose]:
     return pose_at(poses, mover, 0.0, active), pose_at_start(poses, mover, active)
 
 
-def surface_motion(camera: CameraState, poses: Poses, mover: Any, local: Any, active: Any) -> Any:
-    """Motion (Vector2f) of the point ``local`` of ``mover`` between t0 and t1."""
-    now, before = _ends(poses, mover, active)
-    return _difference(camera, now.point(local), before.point(local), active)
+def surface_motion(camera: CameraState, poses: Poses, place: Place, active: Any) -> Any:
+    """Motion (Vector2f) of ``place`` between t0 and t1."""
+    now, before = _ends(poses, place.mover, active)
+    return _difference(camera, now.point(place.now), before.point(place.before), active)
 
 
 def _difference(camera: CameraState, now: Any, before: Any, active: Any) -> Any:
@@ -45,23 +55,18 @@ def _eye(camera: CameraState, now: bool) -> Any:
 
 
 def reflected_motion(
-    camera: CameraState,
-    poses: Poses,
-    mirror: Any,
-    mirror_local: Any,
-    mirror_normal_local: Any,
-    mover: Any,
-    local: Any,
-    active: Any,
+    camera: CameraState, poses: Poses, mirror: Place, mirror_normal_local: Any, shown: Place, active: Any
 ) -> Any:
-    """Motion of the image of ``local`` of ``mover`` in the plane through ``mirror_local`` of the body ``mirror``.
+    """Motion of the image of ``shown`` in the plane through ``mirror``.
 
     R(Y) = Y - 2 ((Y - q) . n) n, with q and n of t1 for the picture now, of t0 for the one before (the paper assumes a
-    mirror that rests; one that moves rigidly costs nothing more).
+    mirror that rests; one that moves rigidly costs nothing more). A mirror that deforms keeps its normal of t1.
     """
     images = []
-    for place, plane in zip(_ends(poses, mover, active), _ends(poses, mirror, active), strict=True):
-        point, q = place.point(local), plane.point(mirror_local)
+    own, plane_of = _ends(poses, shown.mover, active), _ends(poses, mirror.mover, active)
+    points, planes = (shown.now, shown.before), (mirror.now, mirror.before)
+    for pose, plane, local, mirror_local in zip(own, plane_of, points, planes, strict=True):
+        point, q = pose.point(local), plane.point(mirror_local)
         n = dr.normalize(mi.Vector3f(plane.normal(mirror_normal_local)))
         images.append(point - n * (2 * dr.dot(point - q, n)))
     return _difference(camera, images[0], images[1], active)

@@ -22,6 +22,7 @@ class Requirements:
 
     static: bool
     glass: bool
+    deforming: bool
     movers: int
     appearing: bool
     normals: bool
@@ -51,7 +52,8 @@ class Requirements:
         return self.base_texture or self.other_textures
 
 
-FEATURES = tuple(f.name for f in fields(Requirements) if f.type == "bool" and f.name not in ("static", "glass"))
+_GEOMETRY = ("static", "glass", "deforming")
+FEATURES = tuple(f.name for f in fields(Requirements) if f.type == "bool" and f.name not in _GEOMETRY)
 """What can be added to a scene's kernels without adding geometry or lights to the scene."""
 
 
@@ -130,6 +132,7 @@ _OF_PARTS: Mapping[str, Callable[[Part], bool]] = {
 _MEANING: Mapping[str, str] = {
     "static": "triangles that stand still and cast shadows",
     "glass": "still triangles that shadow rays never ask",
+    "deforming": "skinned and morphing meshes, with the shape of each view's time",
     "movers": "rigid bodies with a pose at each ray's time",
     "appearing": "movers that are there for a part of the time",
     "normals": "interpolated shading normals",
@@ -168,6 +171,7 @@ def reasons(scene: Scene, sphere_sampled: bool = False) -> tuple[Reason, ...]:
     found: dict[str, list[str]] = {
         "static": [f"mesh {p.name}" for p, h in zip(scene.static, hidden, strict=True) if not h],
         "glass": [f"mesh {p.name}" for p, h in zip(scene.static, hidden, strict=True) if h],
+        "deforming": [f"mesh {scene.static[skin.part].name}" for skin in scene.skins],
         "movers": [f"mover {mover.name}" for mover in scene.movers],
         "appearing": [f"mover {mover.name}" for mover in scene.movers if np.isfinite(mover.visible_s).any()],
         **{name: [f"mesh {p.name}" for p in parts if needs(p)] for name, needs in _OF_PARTS.items()},

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from renderers.motion import Place
 from renderers.surface import Surface
 
 
@@ -15,8 +16,9 @@ class Sample:
     ``color``: Color3f linear in [0, 65504]; ``light``: what came from sampled lights or ambient occlusion (the noisy
     part). ``hit``: Bool; ``t`` (tracer units, inf: none), ``z``: depth along the camera's axis, world units.
     ``point``, ``normal``, ``normal_geometric``: tracer space, at the ray's time; ``point_local`` in the own space of
-    ``mover`` (0: static). ``motion``: Vector2f px (0 unless asked for). ``clamped``: UInt32. ``rays``: UInt32 a kind.
-    ``mirrored``: the picture here is mostly a reflection; ``mirror_local``, ``mirror_mover``: the reflected hit.
+    ``mover`` (0: static), ``point_before`` where that place was at t0 (another one only where a mesh deforms).
+    ``motion``: Vector2f px (0 unless asked for). ``clamped``: UInt32. ``rays``: UInt32 a kind.
+    ``mirrored``: the picture here is mostly a reflection; ``shown``: the reflected hit.
     """
 
     color: Any
@@ -25,6 +27,7 @@ class Sample:
     z: Any
     point: Any
     point_local: Any
+    point_before: Any
     mover: Any
     normal: Any
     normal_geometric: Any
@@ -35,8 +38,7 @@ class Sample:
     motion: Any
     clamped: Any
     mirrored: Any
-    mirror_local: Any
-    mirror_mover: Any
+    shown: Place
     direction: Any
     rays: dict[str, Any]
 

@@ -88,6 +88,7 @@ def tracer_space(scene: Scene) -> TracerSpace:
     """The tracer space of ``scene``: its bounding box over its whole animation. An empty scene gets the unit one."""
     points = [part_points(part, scene.name) for part in scene.static]
     times_s = np.linspace(0.0, max(scene.duration_s, 0.0), _BOUND_TIMES)
+    points += [skin.track.vertices(float(time_s))[0] for skin in scene.skins for time_s in times_s]
     for mover in scene.movers:
         box = mover_bounds(mover, scene.name)
         if box is not None:

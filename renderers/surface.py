@@ -15,12 +15,14 @@ if TYPE_CHECKING:
 @dataclass
 class Surface:
     """A PyTree. Tracer space unless it says so. ``geometric`` and ``normal`` face the ray's origin; ``point_local`` is
-    in the mover's own space. ``uv_density``: square root of texture area per tracer area (0 without coordinates).
-    ``color``: vertex colour (Vector4f; 1 without).
+    in the mover's own space; ``point_before`` too: where the place was at t0, another one only where a mesh deforms.
+    ``uv_density``: square root of texture area per tracer area (0 without coordinates). ``color``: vertex colour
+    (Vector4f; 1 without).
     """
 
     point: Any
     point_local: Any
+    point_before: Any
     normal: Any
     geometric: Any
     uv: Any
@@ -41,6 +43,7 @@ def surface_at(
     w = 1 - hit.u - hit.v
     # Position from barycentrics: a few ulps, whatever the distance.
     local = pa + (pb - pa) * hit.u + (pc - pa) * hit.v
+    before = _place_before(tracer, arrays, hit, index, local, active) if needs.deforming else local
     across = dr.cross(pb - pa, pc - pa)
     point, geometric = mi.Point3f(local), mi.Vector3f(across)
     pose = None
@@ -71,7 +74,20 @@ def surface_at(
     if needs.colors:
         ca, cb, cc = (dr.gather(mi.Vector4f, arrays.colors, i, active) for i in index)
         color = ca * w + cb * hit.u + cc * hit.v
-    return Surface(point, local, mi.Normal3f(normal), mi.Normal3f(geometric), uv, density, face.w, color)
+    return Surface(point, local, before, mi.Normal3f(normal), mi.Normal3f(geometric), uv, density, face.w, color)
+
+
+def _place_before(
+    tracer: Tracer, arrays: SceneArrays, hit: RawHit, index: tuple[Any, ...], local: Any, active: Any
+) -> Any:
+    """Where the place of a hit was at t0: ``local`` but on meshes that deform."""
+    run = tracer.geometry.deforming
+    if run is None or arrays.before is None:
+        return local
+    bends = active & (hit.face - run.first_face < run.faces)  # unsigned: smaller numbers wrap to large ones
+    a, b, c = (dr.gather(mi.Vector4f, arrays.before, i - run.first_vertex, bends) for i in index)
+    pa, pb, pc = (mi.Point3f(v.x, v.y, v.z) for v in (a, b, c))
+    return dr.select(bends, pa + (pb - pa) * hit.u + (pc - pa) * hit.v, local)
 
 
 def met_from_behind(

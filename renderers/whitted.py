@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Any
 from renderers.backend import dr, mi
 from renderers.camera import Ray
 from renderers.materials import look_at_hit, opacity
+from renderers.motion import Place
+from renderers.mover_walk import RawHit
 from renderers.rng import combined
 from renderers.shading import ambient_occlusion, direct_light, mirror_weight, start_point
 from renderers.surface import Surface, surface_at
-from renderers.tracer import RawHit
 
 if TYPE_CHECKING:
     from renderers.engine import Engine, EngineState
@@ -222,7 +223,7 @@ def follow(
         "spread": mi.Float(ray.spread), "depth": mi.UInt32(0), "on": mi.Bool(active), "color": zero3,
         "shadow": mi.UInt32(0), "ambient_occlusion": mi.UInt32(0), "reflection": mi.UInt32(0),
         "transmission": mi.UInt32(0), "steps": mi.UInt32(0),
-        "mirror_local": mi.Point3f(0), "mirror_mover": mi.UInt32(0), "found": mi.Bool(False),
+        "shown": Place(mi.UInt32(0), mi.Point3f(0), mi.Point3f(0)), "found": mi.Bool(False),
         "waiting": [dict(idle) for _ in range(levels)],
     }  # fmt: skip
     start = onward(start, hit, surface, shaded, active)
@@ -238,8 +239,7 @@ def follow(
         s = dict(s)
         # The first thing that the first mirror shows, for reflected motion vectors.
         first = seen & (s["depth"] == 1) & ~s["found"]
-        s["mirror_local"] = dr.select(first, surface.point_local, s["mirror_local"])
-        s["mirror_mover"] = dr.select(first, hit.mover, s["mirror_mover"])
+        s["shown"] = dr.select(first, Place(hit.mover, surface.point_local, surface.point_before), s["shown"])
         s["found"] = s["found"] | first
         s["color"] = s["color"] + dr.select(on, s["weight"] * light, 0)
         s["shadow"] = s["shadow"] + dr.select(seen, shaded.shadow, no)

@@ -15,6 +15,7 @@ from renderers.backend import dr, mi
 from renderers.engine import Engine, EngineState
 from renderers.frozen import frozen, opaque_float, opaque_uint
 from renderers.rng import combined
+from renderers.skins import refuse_deforming
 
 IN = 8
 """Columns of an input row: x, y (px), time (s after t1), then a visibility ray's target (3, tracer space), its time,
@@ -64,9 +65,11 @@ def host_poses(state: EngineState) -> HostPoses:
 
 class FramelessRays:
     """Samples of an engine's scene at their own places and times. ``follow_movers``: hits are told in their mover's own
-    space, so that they can be found where it has moved to; else as points that rest."""
+    space, so that they can be found where it has moved to; else as points that rest. Raises InputError for scenes with
+    meshes that deform: those have one shape a view."""
 
     def __init__(self, engine: Engine, follow_movers: bool = True, visibility: bool = True) -> None:
+        refuse_deforming(engine.scene, "frameless sampling")
         self.engine, self.follow_movers = engine, follow_movers
         self._visibility = visibility
         self._kernel = frozen(self._trace)

@@ -38,7 +38,7 @@ def sampled(
     back = np.argsort(pixel.numpy())
     out = {}
     for name, value in [*vars(found).items(), *found.rays.items()]:
-        if name != "rays":
+        if name not in ("rays", "shown"):
             array = value.numpy()
             array = np.broadcast_to(array, (*array.shape[:-1], back.size))
             out[name] = array[..., back].T

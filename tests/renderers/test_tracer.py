@@ -107,7 +107,7 @@ def test_one_kernel_serves_all_ray_counts() -> None:
             np.isclose(hits.t, expected(tracer.scene, origin, direction, np.linspace(0, 1, count))[0], rtol=1e-5).mean()
             > 0.98
         )
-    assert tracer._hits_kernel.recordings <= 6
+    assert tracer._plain.kernel.recordings <= 6
 
 
 def test_bad_meshes_and_rays_are_named() -> None:
