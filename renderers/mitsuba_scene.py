@@ -6,6 +6,7 @@ spot-free directional and area lights, all movers at one moment. Everything else
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -18,7 +19,7 @@ from renderers.requirements import texture_image
 from renderers.space import TracerSpace, part_points
 from renderers.textures import rgba8
 from stimuli.errors import InputError, problem
-from stimuli.scene import Light, Material, Part, Phong, Scene
+from stimuli.scene import Light, Material, Part, Phong, Scene, scene_at
 
 
 def diffuse_only(scene: Scene, textures: bool = True) -> Scene:
@@ -47,7 +48,8 @@ def diffuse_only(scene: Scene, textures: bool = True) -> Scene:
     )
 
 
-def _bsdf(material: Material) -> dict[str, Any]:
+def diffuse_or_mirror(material: Material) -> dict[str, Any]:
+    """A diffuse material or a perfect mirror as a Mitsuba plugin. Raises InputError for every other one."""
     phong = material.phong
     if phong is None or phong.transmission:
         raise InputError(problem(material.name, "material", "not diffuse or mirror", "Phong without highlights"))
@@ -68,12 +70,12 @@ def _bsdf(material: Material) -> dict[str, Any]:
     return {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": reflectance}}
 
 
-def _mesh(part: Part, points: np.ndarray) -> Any:
+def _mesh(part: Part, points: np.ndarray, bsdf: Any) -> Any:
     primitive = part.primitive
     faces = np.asarray(primitive.indices).reshape(-1, 3).astype(np.int64)
     smooth, textured = primitive.normals is not None, primitive.texcoord_0 is not None
     properties = mi.Properties()
-    properties["bsdf"] = mi.load_dict(_bsdf(part.material))
+    properties["bsdf"] = bsdf
     if not smooth:
         properties["face_normals"] = True
     mesh = mi.Mesh(part.name, len(points), len(faces), properties, smooth, textured)
@@ -111,18 +113,33 @@ def _light(light: Light, space: TracerSpace, time_s: float) -> dict[str, Any]:
         matrix[:3, 2] = np.cross(u, v) / np.linalg.norm(np.cross(u, v)) * space.scale
         matrix[:3, 3] = space.points(corner + u / 2 + v / 2)
         emitter = {"type": "area", "radiance": {"type": "rgb", "value": intensity.tolist()}}
-        return {"type": "rectangle", "to_world": mi.ScalarTransform4f(matrix), "emitter": emitter}
+        black = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.0}}
+        return {"type": "rectangle", "to_world": mi.ScalarTransform4f(matrix), "emitter": emitter, "bsdf": black}
     raise InputError(problem(light.name, "light", light.kind, "point (inverse square) | directional | area"))
 
 
-def mitsuba_scene(scene: Scene, space: TracerSpace, size_px: tuple[int, int], time_s: float = 0.0) -> Any:
-    """``scene`` at ``time_s`` in tracer space as a Mitsuba scene with its camera (box filter, one sample a pixel)."""
+def mitsuba_scene(
+    scene: Scene,
+    space: TracerSpace,
+    size_px: tuple[int, int],
+    time_s: float = 0.0,
+    bsdf: Callable[[Material], dict[str, Any]] = diffuse_or_mirror,
+) -> Any:
+    """``scene`` at ``time_s`` in tracer space as a Mitsuba scene with its camera (box filter, one sample a pixel).
+
+    ``bsdf``: the Mitsuba plugin that stands for a material. Raises InputError for what Mitsuba cannot express.
+    """
+    scene = scene_at(scene, time_s)
+    loaded: dict[int, Any] = {}
     groups = [(np.eye(4), scene.static), *((m.track.pose(np.array([time_s]))[0], m.parts) for m in scene.movers)]
     tree: dict[str, Any] = {"type": "scene"}
     for g, (matrix, parts) in enumerate(groups):
         for p, part in enumerate(parts):
             placed = replace(part, matrix=matrix @ part.matrix)
-            tree[f"mesh_{g}_{p}"] = _mesh(placed, space.points(part_points(placed, scene.name)))
+            if id(part.material) not in loaded:
+                loaded[id(part.material)] = mi.load_dict(bsdf(part.material))
+            points = space.points(part_points(placed, scene.name))
+            tree[f"mesh_{g}_{p}"] = _mesh(placed, points, loaded[id(part.material)])
     for k, light in enumerate(scene.lights):
         tree[f"light_{k}"] = _light(light, space, time_s)
     camera = scene.camera.pose(np.array([time_s]))[0].copy()

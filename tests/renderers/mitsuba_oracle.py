@@ -33,19 +33,27 @@ def centre_pictures(subject: Scene, size_px: tuple[int, int], time_s: float) -> 
     return ours, theirs
 
 
+def block_means(picture: np.ndarray, block_px: int = 8) -> np.ndarray:
+    """(H // block, W // block) means of a picture (H, W, 3) over its blocks and channels."""
+    h, w, channels = picture.shape
+    cut = np.asarray(picture, np.float64)[: h // block_px * block_px, : w // block_px * block_px]
+    return cut.reshape(h // block_px, block_px, w // block_px, block_px, channels).mean(axis=(1, 3, 4))
+
+
+def z_of_means(ours: np.ndarray, theirs: np.ndarray, floor: float) -> np.ndarray:
+    """|z| of each block: ``ours`` and ``theirs`` (R, rows, columns) are block means of R independent renders each.
+
+    Their spread over the renders gives the standard error; ``floor`` (relative) is added to it for rounding.
+    """
+    variance = ours.var(axis=0, ddof=1) / len(ours) + theirs.var(axis=0, ddof=1) / len(theirs)
+    rounding = floor * (np.abs(theirs.mean(axis=0)) + 1e-3)
+    return np.abs(ours.mean(axis=0) - theirs.mean(axis=0)) / np.sqrt(variance + rounding**2)
+
+
 def block_z(ours: np.ndarray, theirs: np.ndarray, block_px: int = 8) -> np.ndarray:
-    """|z| of each block's mean: ``ours`` and ``theirs`` are (R, H, W, 3) independent renders; variance of block means
-    over the R renders of both (at least that of half-float rounding)."""
-
-    def means(pictures: np.ndarray) -> np.ndarray:
-        r, h, w, _ = pictures.shape
-        cut = pictures[:, : h // block_px * block_px, : w // block_px * block_px]
-        return cut.reshape(r, h // block_px, block_px, w // block_px, block_px, 3).mean(axis=(2, 4, 5))
-
-    a, b = means(ours), means(theirs)
-    variance = a.var(axis=0, ddof=1) / len(a) + b.var(axis=0, ddof=1) / len(b)
-    floor = (5e-4 * (np.abs(b.mean(axis=0)) + 1e-3)) ** 2
-    return np.abs(a.mean(axis=0) - b.mean(axis=0)) / np.sqrt(variance + floor)
+    """|z| of each block's mean: ``ours`` and ``theirs`` are (R, H, W, 3) independent renders; rounding 5e-4."""
+    a, b = (np.array([block_means(picture, block_px) for picture in pictures]) for pictures in (ours, theirs))
+    return z_of_means(a, b, 5e-4)
 
 
 def emitter_quad(corner: object, u: object, v: object, image: np.ndarray, space: Any, flip: bool) -> dict[str, Any]:
