@@ -1,8 +1,10 @@
 """kill -9 at random moments of simulated sessions: no committed trial lost, no unreadable file, each cell exactly once.
 
-Each round starts a session in a process of its own on the virtual display with real lines, kills the presenter, the
-writer, the device reader or an emulator at a random moment, looks at the file, and resumes until the design is
-complete. What had been committed at the kill is read from the file a moment before and after.
+A session runs in a process of its own on the virtual display with real lines; the presenter, the writer, the device
+reader or an emulator is killed at a random moment, the file is looked at, and the session resumed, to be killed again,
+until its design is complete. What had been committed at a kill is read from the file a moment before and after.
+
+``python -m tests.prove.kill_sessions [KILLS] [SEED]`` writes evidence/kill_sessions.json after every session.
 """
 
 from __future__ import annotations
@@ -18,8 +20,11 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
+from itertools import count, cycle
 from pathlib import Path
+from typing import Any
 
 from protocols.records import has_table
 from studyapp.session_file import read_header, verify
@@ -49,19 +54,21 @@ blocks:
 """
 TRIALS = 180
 SESSION = "killed_p1_1.sqlite"
+LONGEST_S = 0.4  # half of what all trials take
 
 
 @dataclass(frozen=True)
-class Round:
-    """One killed session. ``committed``: trials in the file right after the kill; ``lost``: of those committed before
-    it that are gone afterwards; ``problems``: what is wrong with the completed file ([]: nothing)."""
+class Kill:
+    """One kill, ``after_s`` after the session had begun or gone on. ``committed``: trials in the file right after it;
+    ``lost``: of those committed before it that are gone; ``problems``: what was wrong, with the completed file too at
+    a session's last kill ([]: nothing)."""
 
+    session: int
     victim: str
     after_s: float
     committed: int
     lost: int
     readable: bool
-    resumes: int
     problems: list[str]
 
 
@@ -87,37 +94,34 @@ def start(arguments: list[str], folder: Path) -> tuple[subprocess.Popen[str], di
     raise RuntimeError(process.communicate()[1])
 
 
-def one_round(folder: Path, victim: str, after_s: float) -> Round:
-    """Start, kill, look, resume until complete."""
-    arguments = session_arguments(folder, folder)
-    process, pids = start(arguments, folder)
-    time.sleep(after_s)
-    path = folder / SESSION
-    before = trial_rows(path)
-    if process.poll() is None:
-        # A session that has just ended has no process left to kill.
-        with contextlib.suppress(ProcessLookupError):
-            os.kill(pids[victim], signal.SIGKILL)
-    process.communicate()
-    problems: list[str] = []
-    try:
-        after = trial_rows(path)
-        readable = True
-    except sqlite3.Error as error:
-        problems.append(str(error))
-        return Round(victim, after_s, len(before), len(before), False, 0, problems)
-    lost = len(before - after)
-    resumes = 0
-    while not complete(path) and resumes < 5:
-        resumes += 1
-        done = subprocess.run([*arguments, "--resume"], cwd=ROOT, capture_output=True, text=True, check=False)
-        if done.returncode:
-            problems.append(done.stderr.strip()[-200:])
-    problems += verify(path)
-    final = trial_rows(path)
-    lost += len(before - final)
-    problems += cell_problems(final)
-    return Round(victim, after_s, len(after), lost, readable, resumes, problems)
+def one_session(folder: Path, number: int, victims: Iterator[str], rng: random.Random) -> list[Kill]:
+    """Run one session to its end through kill after kill."""
+    arguments, path = session_arguments(folder, folder), folder / SESSION
+    kills: list[Kill] = []
+    seen: set[tuple[int, int, str]] = set()
+    while not path.exists() or not complete(path):
+        process, pids = start([*arguments, "--resume"] if path.exists() else arguments, folder)
+        victim, after_s = next(victims), rng.uniform(0.0, LONGEST_S)
+        time.sleep(after_s)
+        before = trial_rows(path)
+        killed = False
+        if process.poll() is None:
+            # A session that has just ended has no process left to kill.
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pids[victim], signal.SIGKILL)
+                killed = True
+        said = process.communicate()[1].strip()
+        problems = [f"more than a line: {said[-200:]}"] if len(said.splitlines()) > 1 else []
+        try:
+            after = trial_rows(path)
+        except sqlite3.Error as error:
+            return [*kills, Kill(number, victim, after_s, 0, len(before), False, [*problems, str(error)])]
+        seen |= before
+        if killed or problems:
+            kills.append(Kill(number, victim, after_s, len(after), len(seen - after), True, problems))
+    if kills:
+        kills[-1].problems.extend([*verify(path), *cell_problems(trial_rows(path))])
+    return kills
 
 
 def cell_problems(rows: set[tuple[int, int, str]]) -> list[str]:
@@ -148,28 +152,37 @@ def complete(path: Path) -> bool:
         db.close()
 
 
-def prove(rounds: int = 200, seed: int = 1) -> list[Round]:
-    """``rounds`` kills, victims in turn, moments uniform over the session's length (about 0.8 s after its start)."""
-    rng = random.Random(seed)
-    results = []
-    for number in range(rounds):
+def prove(kills: int = 200, seed: int = 1) -> list[Kill]:
+    """At least ``kills`` kills, victims in turn, in as many sessions as that takes; on record after each of them."""
+    rng, victims = random.Random(seed), cycle(VICTIMS)
+    found: list[Kill] = []
+    for number in count():
         with tempfile.TemporaryDirectory() as folder:
-            results.append(one_round(Path(folder), VICTIMS[number % len(VICTIMS)], rng.uniform(0.0, 0.8)))
-        print(number, results[-1], flush=True)
-    return results
+            found += one_session(Path(folder), number, victims, rng)
+        _record(found)
+        print(number, len(found), sum(kill.lost for kill in found), [k for k in found if k.problems], flush=True)
+        if len(found) >= kills:
+            break
+    return found
+
+
+def _record(found: list[Kill]) -> dict[str, Any]:
+    summary = {
+        "kills": len(found),
+        "sessions": len({kill.session for kill in found}),
+        "committed_trials_lost": sum(kill.lost for kill in found),
+        "unreadable_files": sum(not kill.readable for kill in found),
+        "kills_with_problems": sum(bool(kill.problems) for kill in found),
+        "killed_in_the_middle": sum(0 < kill.committed < TRIALS for kill in found),
+    }
+    Path("evidence").mkdir(exist_ok=True)
+    each = [asdict(kill) for kill in found]
+    Path("evidence/kill_sessions.json").write_text(json.dumps({**summary, "each": each}, indent=1))
+    return summary
 
 
 if __name__ == "__main__":
-    found = prove(int(sys.argv[1]) if len(sys.argv) > 1 else 200)
-    summary = {
-        "kills": len(found),
-        "committed_trials_lost": sum(r.lost for r in found),
-        "unreadable_files": sum(not r.readable for r in found),
-        "rounds_with_problems": sum(bool(r.problems) for r in found),
-        "killed_in_the_middle": sum(0 < r.committed < TRIALS for r in found),
-        "rounds": [asdict(r) for r in found],
-    }
-    Path("evidence").mkdir(exist_ok=True)
-    Path("evidence/kill_sessions.json").write_text(json.dumps(summary, indent=1))
-    print({key: value for key, value in summary.items() if key != "rounds"})
-    sys.exit(bool(summary["committed_trials_lost"] or summary["unreadable_files"] or summary["rounds_with_problems"]))
+    given = [int(word) for word in sys.argv[1:]]
+    result = _record(prove(*given))
+    print(result)
+    sys.exit(bool(result["committed_trials_lost"] or result["unreadable_files"] or result["kills_with_problems"]))
