@@ -124,15 +124,17 @@ def mitsuba_scene(
     size_px: tuple[int, int],
     time_s: float = 0.0,
     bsdf: Callable[[Material], dict[str, Any]] = diffuse_or_mirror,
+    watertight: bool = True,
 ) -> Any:
     """``scene`` at ``time_s`` in tracer space as a Mitsuba scene with its camera (box filter, one sample a pixel).
 
-    ``bsdf``: the Mitsuba plugin that stands for a material. Raises InputError for what Mitsuba cannot express.
+    ``bsdf``: the Mitsuba plugin that stands for a material. ``watertight``: no ray slips between two triangles, as in
+    our tracer; Mitsuba's own default is False. Raises InputError for what Mitsuba cannot express.
     """
     scene = scene_at(scene, time_s)
     loaded: dict[int, Any] = {}
     groups = [(np.eye(4), scene.static), *((m.track.pose(np.array([time_s]))[0], m.parts) for m in scene.movers)]
-    tree: dict[str, Any] = {"type": "scene"}
+    tree: dict[str, Any] = {"type": "scene", "embree_use_robust_intersections": watertight}
     for g, (matrix, parts) in enumerate(groups):
         for p, part in enumerate(parts):
             placed = replace(part, matrix=matrix @ part.matrix)

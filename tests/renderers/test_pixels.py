@@ -1,4 +1,4 @@
-"""Tile order holds every pixel once, tile by tile."""
+"""Tile order holds every pixel once, along a Z curve."""
 
 from __future__ import annotations
 
@@ -19,6 +19,16 @@ def test_the_first_64_lanes_are_the_first_tile() -> None:
     order = tile_order(20, 20)[:64]
     assert (order % 20).max() == 7
     assert (order // 20).max() == 7
+
+
+def test_packets_are_blocks() -> None:
+    """Eight lanes are 4x2 pixels, sixteen 4x4: what one packet of rays covers."""
+    order = tile_order(64, 32)
+    np.testing.assert_array_equal(order[:4], [0, 1, 64, 65])
+    for lanes, extent in ((8, (4, 2)), (16, (4, 4)), (64, (8, 8)), (256, (16, 16))):
+        packets = order.reshape(-1, lanes)
+        for values, most in ((packets % 64, extent[0]), (packets // 64, extent[1])):
+            np.testing.assert_array_equal(np.ptp(values.astype(int), axis=1), most - 1)
 
 
 def test_centres_are_at_a_half() -> None:
