@@ -34,6 +34,7 @@ class Manifests:
     def __init__(self, study: Study) -> None:
         self._study = study
         self._known: dict[ClipSpec, ManifestSource] = {}
+        self._told = 0
 
     def __call__(self, trial: Trial) -> Mapping[str, FrameSource]:
         """Slot -> source."""
@@ -45,10 +46,16 @@ class Manifests:
             source = self._known[spec] = ManifestSource(spec.size_px, Fraction(spec.rate_hz), spec.frame_count)
         return source
 
-    def rows(self) -> list[tuple[str, str, str]]:
-        """(identity, manifest, cost) of each clip met so far, for the session's ``clips``; marked as not rendered."""
+    def new_rows(self) -> list[tuple[str, str, str]]:
+        """`rows` of the clips that were first met since the last call."""
+        before, self._told = self._told, len(self._known)
+        return self.rows(before)
+
+    def rows(self, after: int = 0) -> list[tuple[str, str, str]]:
+        """(identity, manifest, cost) of each clip met so far (but for the first ``after``), for the session's
+        ``clips``; marked as not rendered."""
         out = []
-        for spec in self._known:
+        for spec in list(self._known)[after:]:
             text = json.dumps({"specification": asdict(spec), "rendered": False}, sort_keys=True)
             out.append((hashlib.sha256(text.encode()).hexdigest(), text, "{}"))
         return out

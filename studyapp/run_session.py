@@ -60,7 +60,7 @@ def run_session(request: RunRequest) -> RunDone:
         print(f"note: {earlier[-1]} was interrupted (--resume goes on with it); this is a new run", file=sys.stderr)
     kind = request.display or lab.display.kind
     used = different_samples(study, request.overrides)
-    sources, clip_rows = _sources(request, study, lab, kind)
+    sources, new_clips = _sources(request, study, lab, kind)
     if isinstance(sources, StoredSources):
         trials = sources.planned(trials) if before is None else before.plan
         used += sources.check(trials, request.overrides)
@@ -106,7 +106,7 @@ def run_session(request: RunRequest) -> RunDone:
         if isinstance(sources, StoredSources):
             sources.look_with(devices.gaze, geometry)
         prepared = Prepared(
-            study, text, trials, lab, before, about, display, certificate, tuple(used), measured, sources, clip_rows,
+            study, text, trials, lab, before, about, display, certificate, tuple(used), measured, sources, new_clips,
             devices, calibration.record, budget, tuple(warnings),
         )  # fmt: skip
         try:
@@ -132,6 +132,6 @@ def _sources(
     """Where frames come from, and what the session's ``clips`` will say of them."""
     if kind == "virtual":
         manifests = Manifests(study)
-        return manifests, manifests.rows
+        return manifests, manifests.new_rows
     stored = StoredSources(study, request.protocol, request.store, lab.display_table())
-    return stored, stored.rows
+    return stored, stored.new_rows

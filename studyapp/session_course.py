@@ -69,6 +69,9 @@ def run_course(request: RunRequest, ready: Prepared) -> RunDone:
             counted["answers"] += len(done.responses)
 
         def before_commit(trial: Trial, number: int) -> None:
+            # With the trial that first shows them: who is killed has said what was shown.
+            for row in ready.new_clips():
+                log.clip(*row)
             if trial.kind == "consent":
                 log.about_self("consent", json.dumps(consent_record(study, trial, ready.text)))
             if isinstance(ready.sources, StoredSources) and trial.panels:
@@ -102,8 +105,6 @@ def run_course(request: RunRequest, ready: Prepared) -> RunDone:
             shown = _run_adaptive(session, log, request, ready, trials, progress)
         else:
             shown = session.run(trials, progress)
-        for row in ready.clip_rows():
-            log.clip(*row)
         statistics = finish(log)
         return RunDone(path, shown, counted["answers"], statistics.lost)
     finally:

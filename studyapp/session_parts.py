@@ -68,7 +68,7 @@ class Prepared:
     overrides: tuple[dict[str, str], ...]
     gaze_validation: dict[str, Any] | None
     sources: Sources
-    clip_rows: Callable[[], list[tuple[str, str, str]]]
+    new_clips: Callable[[], list[tuple[str, str, str]]]
     devices: SessionDevices
     calibration: Mapping[str, Any] | None = None
     budget: UploadBudget | None = None

@@ -59,6 +59,7 @@ class StoredSources:
         self._store = ClipStore(store_directory(protocol, None if given is None else str(given)))
         self._clips: StudyClips = resolve_clips(study, protocol, self._store)
         self._used: dict[str, None] = {}
+        self._told: set[str] = set()
         self._live: LiveSources | None = None
         self._shown: dict[str, LiveSource] = {}
 
@@ -138,6 +139,12 @@ class StoredSources:
 
         logs = [log_of(source, number, slot) for slot, source in self._shown.items()]
         return [(log.payload, log.frames) for log in logs]
+
+    def new_rows(self) -> list[tuple[str, str, str]]:
+        """`rows` of the clips that were first shown since the last call."""
+        new = [identity for identity in self._used if identity not in self._told]
+        self._told.update(new)
+        return self.rows(new) if new else []
 
     def rows(self, identities: Sequence[str] | None = None) -> list[tuple[str, str, str]]:
         """(identity, manifest, cost) of each clip shown (or of those given), for the session's ``clips``."""

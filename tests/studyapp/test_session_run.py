@@ -148,6 +148,12 @@ def test_a_killed_process_loses_no_committed_trial_and_resume_completes_each_cel
         return
     assert process.returncode != 0
     before = completed_cells(path)
+    db = sqlite3.connect(path)
+    # What was shown is on record with the trial that showed it: every pair has two clips.
+    shown = len(db.execute("SELECT DISTINCT panels FROM trials WHERE panels != '[]'").fetchall())
+    known = db.execute("SELECT COUNT(*) FROM clips").fetchone()[0] if has_table(db, "clips") else 0
+    db.close()
+    assert known >= min(2, 2 * shown)
     assert main(run_arguments(tiny, "--resume")) == 0
     after = completed_cells(path)
     assert all(after[planned] == 1 for planned in before)
