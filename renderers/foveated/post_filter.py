@@ -9,8 +9,8 @@ from __future__ import annotations
 from typing import Any
 
 from renderers.backend import dr, mi
+from renderers.foveated import light_cache
 from renderers.foveated.support import SupportGrid
-from renderers.image import fetch, rgb
 from renderers.rng import uniform
 
 SEARCH_TEXELS = 8
@@ -49,24 +49,26 @@ def filter_light(
     found = radius < dr.inf
     y = mi.Int32(pixel // grid.width)
     x = mi.Int32(pixel) - y * grid.width
-    best, light = mi.Float(dr.inf), mi.Color3f(0)
+    best, closest = mi.Float(dr.inf), pixel
     for tap in range(taps):
         own = seed ^ (pixel * mi.UInt32(0x85EBCA6B))
         dx = mi.Int32(dr.round((uniform(own, 2 * tap) * 2 - 1) * dr.select(found, radius, 0)))
         dy = mi.Int32(dr.round((uniform(own, 2 * tap + 1) * 2 - 1) * dr.select(found, radius, 0)))
         i, j = x + dx, y + dy
         inside = found & (i >= 0) & (i < grid.width) & (j >= 0) & (j < grid.height)
+        distance = mi.Float(dx * dx + dy * dy)
+        cached = inside & (distance < best)
         other = mi.UInt32(j * grid.width + i)
         texel = mi.UInt32(j * grid.rows // grid.height * grid.columns + i * grid.columns // grid.width)
-        cached = inside & (dr.gather(mi.UInt32, marks, texel, inside) == 0)
-        cached &= dr.gather(mi.Float, probability, other, inside) <= 1
-        cached &= dr.gather(mi.Float, buffers["rho_light"], other, inside) > 0
+        cached &= dr.gather(mi.UInt32, marks, texel, cached) == 0
+        cached &= dr.gather(mi.Float, probability, other, cached) <= 1
+        there = light_cache.colors(buffers["cache"], other, cached)
+        cached &= light_cache.info(buffers["cache"], other, cached)["rho_light"] > 0
         # background and what only glows hold no light to copy
-        cached &= dr.max(rgb(fetch(buffers["albedo"], other, inside))) > 0
-        distance = mi.Float(dx * dx + dy * dy)
-        closer = cached & (distance < best)
-        light = dr.select(closer, rgb(fetch(buffers["light"], other, closer)), light)
-        best = dr.select(closer, distance, best)
-    value = rgb(fetch(buffers["surface"], pixel)) + rgb(fetch(buffers["albedo"], pixel)) * light
+        cached &= dr.max(there["albedo"]) > 2 * light_cache.LEAST
+        closest, best = dr.select(cached, other, closest), dr.select(cached, distance, best)
+    here = light_cache.colors(buffers["cache"], pixel)
+    light = light_cache.colors(buffers["cache"], closest)["light"]
+    value = here["surface"] + here["albedo"] * light
     dr.scatter(buffers["shown"], mi.Vector4f(value.x, value.y, value.z, 0), pixel, best < dr.inf)
     return buffers["shown"]

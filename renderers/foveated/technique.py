@@ -17,16 +17,18 @@ from renderers.backend import dr, mi
 from renderers.eccentricity import EyePlane, eye_plane
 from renderers.engine import LARGEST, Engine, EngineState
 from renderers.eye_angles import pixel_eccentricity_deg, plane_values
-from renderers.foveated.cache import first_samples, merge
+from renderers.foveated import light_cache
+from renderers.foveated.compose import NO_SAMPLE, OVERWRITES, compose, first_samples
+from renderers.foveated.mesh_blocks import SIZES, BlockMesh, blocks_of, flat_blocks
 from renderers.foveated.post_filter import filter_light
-from renderers.foveated.reprojection import BACKGROUND, look, mark, resolve, world_depth
+from renderers.foveated.reprojection import look, mark
 from renderers.foveated.support import IS_TEXEL, SupportGrid, extract, move
 from renderers.frozen import frozen, opaque_float, opaque_uint
 from renderers.gl.context import MeshRasteriser
 from renderers.parameters import Foveated as FoveatedParameters
 from renderers.parameters import Vanilla as VanillaParameters
 from renderers.pixels import tile_order
-from renderers.rng import combined, uniform
+from renderers.rng import combined
 from renderers.stopwatch import Stopwatch
 from renderers.technique import Frame, Measure, View
 from renderers.vanilla import Vanilla, frame_seed, ray_counts
@@ -59,19 +61,24 @@ class Foveated:
         self.grid = grid = SupportGrid.of(size_px, params.support_divisor)
         sampled = {"area", "sphere"} & set(engine.requirements.lights)
         self.noisy = engine.lighting == "ambient_occlusion" or bool(sampled)
-        self._names = ("surface", "albedo", "light") if self.noisy else ("shown",)
+        self._names = light_cache.COLORS if self.noisy else ("shown",)
+        self._cache = "cache" if self.noisy else "info"
         self._order = opaque_uint(tile_order(*size_px))
-        self._texel_of = opaque_uint(grid.texel_of_pixels())
+        texel_of = grid.texel_of_pixels()
+        self._texel_of = opaque_uint(texel_of[self._order.numpy()])  # in tile order, as all that is looked at there
+        self._scanline = opaque_uint(np.arange(size_px[0] * size_px[1]))
         self._texel_pixel = opaque_uint(grid.texel_pixels())
         x, y, texel = grid.vertices()
         self._vertices = (opaque_float(x), opaque_float(y), opaque_uint(texel))
+        self._blocks = BlockMesh(grid)
+        self._block = {size: opaque_uint(np.arange(math.prod(blocks_of(grid, size)))) for size in SIZES}
         self._rasteriser = MeshRasteriser(size_px, *grid.mesh)
         self._watch = Stopwatch(measure, dr.sync_thread)
         self._kernels = {
             kernel.__name__: frozen(kernel)
             for kernel in (
-                self._probabilities, self._move, self._look, self._mark, self._select, self._trace, self._extract,
-                self._resolve, self._merge, self._choose, self._filter,
+                self._probabilities, self._move, self._flat, self._look, self._mark, self._select, self._trace,
+                self._extract, self._first, self._compose, self._filter,
             )
         }  # fmt: skip
         self.reset(seed)
@@ -83,28 +90,36 @@ class Foveated:
             self._full.reset(seed)
             return
         pixels, texels = self.size_px[0] * self.size_px[1], self.grid.texels
-        sizes = dict.fromkeys((*self._names, "shown"), 4) | {"info": 2} | ({"rho_light": 1} if self.noisy else {})
         self._now, self._before = (
-            {name: opaque_float(np.zeros(pixels * size)) for name, size in sizes.items()} for _ in range(2)
+            {"shown": opaque_float(np.zeros(pixels * 4)), self._cache: self._no_history(pixels)} for _ in range(2)
         )
-        self._carried = tuple(name for name in sizes if name != "shown" or not self.noisy)
+        self._samples = {
+            name: opaque_float(np.zeros(pixels * 4)) for name in ("color", *(self._names if self.noisy else ()))
+        }
+        self._alpha = opaque_float(np.zeros(pixels))
         self._support = {name: opaque_float(np.zeros(texels * 4)) for name in (*self._names, "normal")}
         self._support |= {"z": opaque_float(np.zeros(texels)), "mover": opaque_uint(np.zeros(texels))}
         self._marks = opaque_uint(np.zeros(texels))
         self._mesh: Any = None
         self._plane: EyePlane | None = None
-        self._probability: Any = None
+        self._probability: Any = None  # scanline order
+        self._draw: Any = None  # the same in tile order
         self._sampled: Any = None
-        self._alpha: Any = None
+        self._composed = False
+
+    def _no_history(self, pixels: int) -> Any:
+        """The cache of pixels of which nothing is known."""
+        if self.noisy:
+            return opaque_uint(np.zeros(pixels * light_cache.WORDS, np.uint32))
+        return opaque_float(np.zeros(pixels * 2, np.float32))
 
     # Kernels --------------------------------------------------------------------------------------------------------
 
-    def _probabilities(self, plane: Any, texel_of: Any) -> Any:
-        """How likely each pixel is traced (Float, scanline order); `FOVEA` up to r0."""
+    def _probabilities(self, plane: Any, pixel: Any) -> Any:
+        """How likely each of the pixels is traced (Float); `FOVEA` up to r0."""
         width = self.size_px[0]
-        index = dr.arange(mi.UInt32, dr.width(texel_of))
-        y = index // width
-        e = pixel_eccentricity_deg(plane, mi.Float(index - y * width) + 0.5, mi.Float(y) + 0.5)
+        y = pixel // width
+        e = pixel_eccentricity_deg(plane, mi.Float(pixel - y * width) + 0.5, mi.Float(y) + 0.5)
         r0, r1, p_min = self.params.region
         slope = (1 - p_min) / (r1 - r0) if r0 < r1 < math.inf else 0.0
         inner = 1 - slope * (e - r0)
@@ -113,26 +128,33 @@ class Foveated:
     def _move(self, state: EngineState, x: Any, y: Any, mesh: tuple[Any, ...]) -> tuple[Any, Any]:
         return move(self.engine, state, x, y, *mesh)
 
+    def _flat(self, size: int, vertices: Any, block: Any) -> Any:
+        return flat_blocks(self.grid, size, vertices, block)
+
     def _look(self, *of: Any) -> Any:
         return look(self.grid, *of)
 
     def _mark(self, looks: Any) -> Any:
         return mark(self.params, self.grid, looks)
 
-    def _select(self, history: bool, order: Any, probability: Any, texel_of: Any, marks: Any, seed: Any) -> Any:
-        """The numbers of the pixels to trace, in tile order."""
-        if not history:
-            return order
-        texel = dr.gather(mi.UInt32, texel_of, order)
-        drawn = uniform(combined(seed ^ _DRAW, order), 0) < dr.gather(mi.Float, probability, order)
+    def _select(self, order: Any, probability: Any, texel_of: Any, marks: Any, seed: Any) -> tuple[Any, Any, Any, Any]:
+        """Number and texel of the pixels to trace, in tile order; the slot of every pixel, in scanline order, that
+        `compose` reads; whether the post filter may change a lane's pixel (marked, outside of the fovea)."""
+        marked = dr.gather(mi.UInt32, marks, texel_of & (IS_TEXEL - 1)) > 0
+        drawn = mi.Float(combined(seed ^ _DRAW, order) >> 8) * (1 / (1 << 24)) < probability
+        lanes = dr.compress(drawn | marked | (texel_of >= IS_TEXEL))
+        pixel, texel = dr.gather(mi.UInt32, order, lanes), dr.gather(mi.UInt32, texel_of, lanes)
+        fovea = dr.gather(mi.Float, probability, lanes) > 1
         marked = dr.gather(mi.UInt32, marks, texel & (IS_TEXEL - 1)) > 0
-        lanes = dr.compress(drawn | marked | (texel >= IS_TEXEL))
-        return dr.gather(mi.UInt32, order, lanes)
+        slot = dr.full(mi.UInt32, NO_SAMPLE, self.size_px[0] * self.size_px[1])
+        lane = dr.arange(mi.UInt32, dr.width(lanes))
+        dr.scatter(slot, dr.select(fovea | marked, lane | OVERWRITES, lane), pixel)
+        return pixel, texel, slot, marked & ~fovea
 
     def _trace(
-        self, state: EngineState, pixel: Any, texel_of: Any, seed: Any, support: dict[str, Any]
+        self, state: EngineState, pixel: Any, texel: Any, seed: Any, samples: dict[str, Any], support: dict[str, Any]
     ) -> tuple[dict[str, Any], dict[str, Any], Any, Any]:
-        """A sample a lane; those of the support image are written there, with the G-buffer.
+        """A sample a lane, packed; those of the support image are written there too, with the G-buffer.
 
         Lanes keep the 8x8 tile order, and rays their coherent mode, although 84 % of the pixels are missing: 120 ms
         (274k lanes, point light, loaded machine) against 139 to 154 in tiles of 4, 16, 32 and Morton order, 232 if not
@@ -142,44 +164,39 @@ class Foveated:
         y = pixel // width
         ray = self.engine.camera_ray(state, mi.Float(pixel - y * width) + 0.5, mi.Float(y) + 0.5)
         got = self.engine.sample(state, ray, rng=combined(seed, pixel), light_samples=self.params.light_samples)
-        sample = {"color": got.color, "z": got.z}
+        values = {"color": (got.color, got.z)}
         if self.noisy:
-            for name in ("surface", "albedo", "light"):
+            for name in self._names:
                 value = getattr(got, name)
-                sample[name] = dr.select(dr.isnan(value), 0, dr.clip(value, 0, LARGEST))
-        texel = dr.gather(mi.UInt32, texel_of, pixel)
+                values[name] = (dr.select(dr.isnan(value), 0, dr.clip(value, 0, LARGEST)), mi.Float(0))
+        lane = dr.arange(mi.UInt32, dr.width(pixel))
         own, texel = texel >= IS_TEXEL, texel & (IS_TEXEL - 1)
-        for name in self._names:
-            value = sample["color" if name == "shown" else name]
-            dr.scatter(support[name], mi.Vector4f(value.x, value.y, value.z, 0), texel, own)
+        for name, (c, spare) in values.items():
+            packet = mi.Vector4f(c.x, c.y, c.z, spare)
+            dr.scatter(samples[name], packet, lane)
+            if name in self._names or not self.noisy:
+                dr.scatter(support["shown" if name == "color" else name], packet, texel, own)
         n = got.normal_geometric
         dr.scatter(support["normal"], mi.Vector4f(n.x, n.y, n.z, 0), texel, own)
         dr.scatter(support["z"], got.z, texel, own)
         dr.scatter(support["mover"], got.mover, texel, own)
-        return sample, support, got.rays, got.clamped
+        return samples, support, got.rays, got.clamped
 
     def _extract(self, state: EngineState, x: Any, y: Any, texel: Any, z: Any, normal: Any, mover: Any) -> Any:
         return extract(self.engine, self.params.reproject_movers, state, x, y, texel, z, normal, mover)
 
-    def _resolve(self, place: Any, old: Any, support: Any, seed: Any, new: Any) -> Any:
-        return resolve(self.params, self.grid, self._names, place, old, support, seed ^ _TAPS, new)
+    def _first(self, pixel: Any, samples: dict[str, Any], buffers: dict[str, Any]) -> dict[str, Any]:
+        return first_samples(pixel, samples, buffers)
 
-    def _merge(
-        self, pixel: Any, sample: dict[str, Any], probability: Any, texel_of: Any, marks: Any, depth: Any,
-        to_world: Any, t_max: Any, buffers: dict[str, Any],
+    def _compose(
+        self, place: Any, depth: Any, slot: Any, samples: Any, old: Any, support: Any, to_world: Any, t_max: Any,
+        seed: Any, new: Any, weight: Any,
     ) -> tuple[dict[str, Any], Any]:  # fmt: skip
-        if depth is None:
-            return first_samples(pixel, sample, buffers)
-        texel = dr.gather(mi.UInt32, texel_of, pixel) & (IS_TEXEL - 1)
-        overwrite = (dr.gather(mi.Float, probability, pixel) > 1) | (dr.gather(mi.UInt32, marks, texel) > 0)
-        z_cache = world_depth(dr.gather(mi.Float, depth, pixel), to_world)
-        far = to_world * BACKGROUND
-        return merge(self.params, pixel, sample, overwrite, z_cache, far, t_max, buffers)
-
-    def _choose(self, pixel: Any, probability: Any, texel_of: Any, marks: Any) -> Any:
-        """Which of the traced pixels the post filter may change (Bool): those marked, outside the fovea."""
-        texel = dr.gather(mi.UInt32, texel_of, pixel) & (IS_TEXEL - 1)
-        return (dr.gather(mi.UInt32, marks, texel) > 0) & (dr.gather(mi.Float, probability, pixel) <= 1)
+        taps = seed ^ _TAPS
+        return compose(
+            self.params, self.grid, self._names, place, depth, slot, samples, old, support, to_world, t_max, taps, new,
+            weight,
+        )  # fmt: skip
 
     def _filter(
         self, pixels: Any, chosen: Any, marks: Any, probability: Any, seed: Any, buffers: dict[str, Any]
@@ -203,13 +220,12 @@ class Foveated:
                 state = self.engine.state(view, self.size_px)
                 seed = frame_seed(self._seed, view.index)
                 self._see(view)
-            place = depth = None
             self._now, self._before = self._before, self._now
             if self._history:
                 with stage("move"):
                     moved, edge = run["_move"](vertices, state, *self._vertices[:2], self._mesh)
                 with stage("raster"):
-                    place, depth = self._rasteriser.draw(moved)
+                    place, depth = self._rasteriser.draw(moved, self._blocks.indices(self._flat_of(moved)))
                 with stage("marks"):
                     exposure = opaque_float(view.exposure)
                     looks = run["_look"](
@@ -217,37 +233,40 @@ class Foveated:
                     )
                     self._marks = run["_mark"](texels, looks)
             with stage("select"):
-                pixel = run["_select"](
-                    pixels, self._history, self._order, self._probability, self._texel_of, self._marks, seed
-                )
+                if self._history:
+                    pixel, texel, slot, chosen = run["_select"](
+                        pixels, self._order, self._draw, self._texel_of, self._marks, seed
+                    )
+                else:
+                    pixel, texel = self._order, self._texel_of
                 lanes = dr.width(pixel)
             with stage("trace"):
-                sample, self._support, rays, clamped = run["_trace"](
-                    lanes, state, pixel, self._texel_of, seed, self._support
+                self._samples, self._support, rays, clamped = run["_trace"](
+                    lanes, state, pixel, texel, seed, self._samples, self._support
                 )
             with stage("extract"):
                 z, normal, mover = (self._support[name] for name in ("z", "normal", "mover"))
                 self._mesh = run["_extract"](vertices, state, *self._vertices, z, normal, mover)
-            if self._history:
-                with stage("resolve"):
+            with stage("compose"):
+                if self._history:
                     colors = {name: self._support[name] for name in self._names}
-                    old = {name: self._before[name] for name in self._carried}
-                    self._now = run["_resolve"](pixels, place, old, colors, seed, self._now)
-            with stage("merge"):
-                t_max = opaque_float(self.t_max(view))
-                self._now, self._alpha = run["_merge"](
-                    lanes, pixel, sample, self._probability, self._texel_of, self._marks, depth, state.to_world,
-                    t_max, self._now,
-                )  # fmt: skip
+                    carried = (self._cache,) if self.noisy else (self._cache, "shown")
+                    old = {name: self._before[name] for name in carried}
+                    self._now, self._alpha = run["_compose"](
+                        pixels, place, depth, slot, self._samples, old, colors, state.to_world,
+                        opaque_float(self.t_max(view)), seed, self._now, self._alpha,
+                    )  # fmt: skip
+                else:
+                    self._now = run["_first"](lanes, pixel, self._samples, self._now)
             if self._history and self.noisy and self.params.post_filter:
                 with stage("post filter"):
                     # compressed outside of the recording: Dr.Jit 1.5 aborts where a recorded result has no lanes
-                    chosen = dr.compress(run["_choose"](lanes, pixel, self._probability, self._texel_of, self._marks))
+                    chosen = dr.compress(chosen)
                     if count := dr.width(chosen):
                         self._now["shown"] = run["_filter"](
                             count, pixel, chosen, self._marks, self._probability, seed, self._now
                         )
-        self._sampled, self._history = pixel, True
+        self._sampled, self._composed, self._history = pixel, self._history, True
         return Frame(
             color=self._now["shown"].numpy().reshape(height, width, 4)[..., :3],
             rays=ray_counts(lanes, rays),
@@ -255,6 +274,13 @@ class Foveated:
             time_s=float(view.index * (view.t1 - view.t0)),
             clamped=int(dr.sum(clamped)[0]),
         )
+
+    def _flat_of(self, vertices: Any) -> dict[int, np.ndarray]:
+        """For each size of block which are flat."""
+        found = {
+            size: self._kernels["_flat"](dr.width(block), size, vertices, block) for size, block in self._block.items()
+        }
+        return {size: np.zeros(0) if flat is None else flat.numpy() for size, flat in found.items()}
 
     def t_max(self, view: View) -> int:
         """Frames after which a cached pixel is old: the parameter, or 0.213 s at the view's rate, at least 1."""
@@ -266,7 +292,9 @@ class Foveated:
         if plane != self._plane:
             pixels = self.size_px[0] * self.size_px[1]
             self._plane = plane
-            self._probability = self._kernels["_probabilities"](pixels, plane_values(plane), self._texel_of)
+            values, run = plane_values(plane), self._kernels["_probabilities"]
+            self._draw = run(pixels, values, self._order)
+            self._probability = run(pixels, values, self._scanline)
 
     def show(self, view: View) -> dict[str, np.ndarray]:
         """Debug pictures of the last frame, (H, W) each: ``sampled``, ``marks`` (0 or 1), ``probability``, ``alpha``
@@ -280,9 +308,11 @@ class Foveated:
         pixel = self._sampled.numpy()
         sampled[pixel] = 1
         alpha = np.zeros(width * height, np.float32)
-        alpha[pixel] = self._alpha.numpy()
-        texel = self._texel_of.numpy() & (IS_TEXEL - 1)
-        info = self._now["info"].numpy().reshape(height, width, 2)
+        alpha[pixel] = self._alpha.numpy()[: len(pixel)] if self._composed else 1
+        texel = self.grid.texel_of_pixels() & (IS_TEXEL - 1)
+        info = self._now[self._cache].numpy().reshape(height, width, -1)
+        if self.noisy:
+            info = info[..., light_cache.RHO : light_cache.AGE + 1].copy().view(np.float32)
         shape = (height, width)
         return {
             "sampled": sampled.reshape(shape),

@@ -18,7 +18,7 @@ from renderers.frozen import aligned
 NEAR = 1e-3
 """The near plane, tracer units."""
 FLOATS_A_VERTEX = 8
-_RESTART = 0xFFFFFFFF
+INDICES_A_CELL = 6
 
 
 def standalone_context() -> moderngl.Context:
@@ -26,18 +26,12 @@ def standalone_context() -> moderngl.Context:
     return moderngl.create_standalone_context(require=330, backend="egl")  # type: ignore[arg-type]
 
 
-def grid_strips(columns: int, rows: int) -> np.ndarray:
-    """Indices (uint32) of a grid of ``columns`` x ``rows`` vertices as triangle strips, a row each, restart between."""
-    upper = np.arange(columns, dtype=np.uint32) + columns * np.arange(rows - 1, dtype=np.uint32)[:, None]
-    pairs = np.stack([upper, upper + np.uint32(columns)], axis=2).reshape(rows - 1, 2 * columns)
-    return np.c_[pairs, np.full(rows - 1, _RESTART, np.uint32)].ravel()
-
-
 class MeshRasteriser:
     """Draws a grid mesh of ``columns`` x ``rows`` vertices into ``size_px``; `close` frees its context.
 
-    On llvmpipe its cost is the number of triangles: at 1182x1464 half as many a side take half the time, a target of
-    half the size 0.9 of it; RG32F, RG16, RG32UI and RGBA32F differ by less than a third (35, 34, 40, 46 ms).
+    On llvmpipe its cost is the number of triangles and the length of their edges: at 1182x1464 half as many a side take
+    half the time (so flat blocks are drawn whole: `renderers.foveated.mesh_blocks`), a target of half the size 0.9 of
+    it; RG32F, RG16, RG32UI and RGBA32F differ by less than a third (35, 34, 40, 46 ms).
     """
 
     def __init__(self, size_px: tuple[int, int], columns: int, rows: int) -> None:
@@ -50,22 +44,19 @@ class MeshRasteriser:
                 fragment_shader=shaders.joinpath("mesh.frag.glsl").read_text(),
             )
             self._vertices = self.gl.buffer(reserve=columns * rows * FLOATS_A_VERTEX * 4, dynamic=True)
-            self._mesh = self.gl.vertex_array(
-                self._program,
-                [(self._vertices, "4f 4f", "at", "was")],
-                self.gl.buffer(grid_strips(columns, rows).tobytes()),
-            )
+            self._indices = self.gl.buffer(reserve=(columns - 1) * (rows - 1) * INDICES_A_CELL * 4, dynamic=True)
+            self._mesh = self.gl.vertex_array(self._program, [(self._vertices, "4f 4f", "at", "was")], self._indices)
             self._place = self.gl.texture(size_px, 2, dtype="f4")
             self._depth = self.gl.depth_texture(size_px)
             self._target = self.gl.framebuffer([self._place], self._depth)
             self.gl.enable_only(moderngl.DEPTH_TEST)
-            self.gl.enable_direct(0x8F9D)  # GL_PRIMITIVE_RESTART; index below is moderngl's default of -1
         pixels = size_px[0] * size_px[1]
         self._place_px = aligned(np.zeros(pixels * 2), np.float32)
         self._depth_values = aligned(np.zeros(pixels), np.float32)
 
-    def draw(self, vertices: Any) -> tuple[Any, Any]:
-        """Rasterise ``vertices`` (Float, 8 a vertex: clip position, then x, y of the last picture times depth, depth).
+    def draw(self, vertices: Any, indices: np.ndarray) -> tuple[Any, Any]:
+        """Rasterise ``vertices`` (Float, 8 a vertex: clip position, then x, y of the last picture times depth, depth)
+        as the triangles of ``indices`` (uint32, three each, at most two triangles a cell).
 
         Returns (place, depth), Float: H * W * 2 pixels of the last picture (nan: no mesh), H * W window depth in
         [0, 1]. Both are valid until the next call.
@@ -73,9 +64,10 @@ class MeshRasteriser:
         host = np.ascontiguousarray(vertices.numpy(), np.float32)
         with self.gl:
             self._vertices.write(host)
+            self._indices.write(indices)
             self._target.use()
             self._target.clear(float("nan"), float("nan"), 0.0, 0.0, depth=1.0)
-            self._mesh.render(moderngl.TRIANGLE_STRIP)
+            self._mesh.render(moderngl.TRIANGLES, vertices=len(indices))
             dr.sync_thread()  # kernels that read the last result are done before it is written over
             self._place.read_into(self._place_px)
             self._depth.read_into(self._depth_values)
@@ -83,6 +75,6 @@ class MeshRasteriser:
 
     def close(self) -> None:
         """Free the context and all that is in it."""
-        for item in (self._mesh, self._vertices, self._target, self._place, self._depth, self._program):
+        for item in (self._mesh, self._vertices, self._indices, self._target, self._place, self._depth, self._program):
             item.release()
         self.gl.release()

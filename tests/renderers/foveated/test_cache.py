@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from renderers.backend import activate, dr, mi
-from renderers.foveated.cache import least_weight, merge, weights
+from renderers.foveated.cache import blend, least_weight, weights
 from renderers.parameters import Foveated
 
 activate()
@@ -72,14 +72,11 @@ def test_the_number_of_samples_settles_at_its_fixed_point(k: float) -> None:
 
 def merged(*, overwrite: bool = False, rho: float = 4.0, z_cache: float = 10.0, z: float = 10.0) -> tuple[float, ...]:
     """A sample of 1 against a cached 0: what is shown, alpha, rho, age."""
-    buffers = {"shown": mi.Float([0.0] * 4), "info": mi.Float([rho, 1.0])}
+    cached = {"shown": mi.Color3f(0.0), "rho": mi.Float(rho), "age": mi.Float(1)}
     sample = {"color": mi.Color3f(1.0), "z": mi.Float(z)}
-    far = mi.Float(1e4)
-    settings = Foveated(k_min=0.05)
-    out, alpha = merge(
-        settings, mi.UInt32([0]), sample, mi.Bool([overwrite]), mi.Float(z_cache), far, mi.Float(16), buffers
-    )
-    return out["shown"][0], alpha[0], out["info"][0], out["info"][1]
+    settings, far = Foveated(k_min=0.05), mi.Float(1e4)
+    out, alpha = blend(settings, sample, cached, mi.Bool(overwrite), mi.Float(z_cache), far, mi.Float(16))
+    return out["shown"].x[0], alpha[0], out["rho"][0], out["age"][0]
 
 
 def test_a_sample_is_blended_where_nothing_speaks_against_it() -> None:

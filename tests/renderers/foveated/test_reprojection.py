@@ -53,8 +53,8 @@ def places(scene: Scene, frames: int, **params: object) -> tuple[np.ndarray, np.
     kept = {}
     draw = technique._rasteriser.draw
 
-    def watched(vertices: object) -> object:
-        kept["place"], kept["depth"] = draw(vertices)
+    def watched(vertices: object, indices: object) -> object:
+        kept["place"], kept["depth"] = draw(vertices, indices)
         return kept["place"], kept["depth"]
 
     technique._rasteriser.draw = watched

@@ -259,7 +259,7 @@ def test_no_post_filter_and_one_cache_with_point_lights() -> None:
         frame = technique.render(view(scene, k))
     assert not technique.noisy
     assert "post filter" not in frame.seconds
-    assert {"raster", "marks", "trace", "resolve", "merge"} <= set(frame.seconds)
+    assert {"raster", "marks", "trace", "compose"} <= set(frame.seconds)
     lit = Foveated(Engine(lit_scene()), SIZE, Parameters(), 1, "stages")
     for k in range(2):
         frame = lit.render(view(lit_scene(), k))
