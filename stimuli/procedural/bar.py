@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from stimuli.camera_path import KeyedCamera
+from stimuli.procedural.rooms import Room
 from stimuli.procedural.shapes import (
     Mesh,
     box,
@@ -28,6 +29,7 @@ from stimuli.procedural.shapes import (
     torus,
     tube,
 )
+from stimuli.procedural.tracks import round_trip
 from stimuli.scene import RGB, Light, Part, Scene
 
 VERSION = 1
@@ -80,24 +82,16 @@ def build() -> Scene:
 
 
 def _shell(rng: np.random.Generator) -> list[Part]:
-    w, d, h = WIDTH_M / 2, DEPTH_M / 2, HEIGHT_M
+    room = Room(WIDTH_M, DEPTH_M, HEIGHT_M)
     tiles = checkerboard(256, 2, (0.12, 0.1, 0.1), (0.75, 0.72, 0.68))
     plaster = noise(rng, 256, (0.25, 0.12, 0.1), (0.45, 0.2, 0.16))
     brick = _bricks(rng)
-    floor = rectangle((-w, 0, d), (2 * w, 0, 0), (0, 0, -2 * d), (15, 10))
-    ceiling = rectangle((-w, h, -d), (2 * w, 0, 0), (0, 0, 2 * d), (3, 2))
-    sides = join(
-        [
-            rectangle((-w, 0, d), (0, 0, -2 * d), (0, h, 0), (4, 2)),
-            rectangle((w, 0, -d), (0, 0, 2 * d), (0, h, 0), (4, 2)),
-        ]
-    )
-    back = rectangle((-w, 0, -d), (2 * w, 0, 0), (0, h, 0), (6, 2))
-    front = rectangle((w, 0, d), (-2 * w, 0, 0), (0, h, 0), (6, 2))
+    floor, ceiling = room.floor((15, 10)), room.ceiling((3, 2))
+    walls = [room.left_wall((4, 2)), room.right_wall((4, 2)), room.back_wall((6, 2)), room.front_wall((6, 2))]
     return [
         part("floor", floor, matte("floor tiles", (1.0, 1.0, 1.0), tiles, roughness=0.2)),
         part("ceiling", ceiling, matte("plaster", (1.0, 1.0, 1.0), plaster)),
-        part("walls", join([sides, back, front]), matte("brick", (1.0, 1.0, 1.0), brick)),
+        part("walls", join(walls), matte("brick", (1.0, 1.0, 1.0), brick)),
         part("beams", _beams(), matte("beams", (0.16, 0.09, 0.05))),
     ]
 
@@ -318,8 +312,10 @@ def _neon() -> list[Part]:
 
 def _camera() -> KeyedCamera:
     """A glide to and fro before the counter, closed in 8 s."""
-    times = np.linspace(0.0, DURATION_S, 9)
-    swing = 2 * np.pi * times / DURATION_S
-    eyes = np.stack([2.2 * np.sin(swing), 1.6 + 0.12 * np.sin(2 * swing), 1.9 + 0.35 * np.cos(swing)], axis=1)
-    aims = np.stack([1.0 * np.sin(swing - 0.5), np.full(9, 1.55), np.full(9, -2.2)], axis=1)
-    return KeyedCamera.looking(times, eyes, aims, float(np.radians(50.0)), "glide", closed=True)
+    return round_trip(
+        "glide",
+        DURATION_S,
+        50.0,
+        lambda a: (2.2 * np.sin(a), 1.6 + 0.12 * np.sin(2 * a), 1.9 + 0.35 * np.cos(a)),
+        lambda a: (1.0 * np.sin(a - 0.5), 1.55, -2.2),
+    )

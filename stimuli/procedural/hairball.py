@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from stimuli.camera_path import KeyedCamera
 from stimuli.procedural.shapes import Mesh, checkerboard, generator, grid, matte, part, recipe_sha256, rectangle
+from stimuli.procedural.tracks import round_trip
 from stimuli.scene import Light, Scene
 
 VERSION = 1
@@ -55,9 +55,6 @@ def build() -> Scene:
     """The scene: the ball over a floor, one area light and one point light, a camera that circles it."""
     tiles = checkerboard(128, 8, (0.3, 0.32, 0.35), (0.7, 0.7, 0.68))
     floor = rectangle((-4, -1.5, 4), (8, 0, 0), (0, 0, -8), (4, 4))
-    times = np.linspace(0.0, DURATION_S, 9)
-    swing = 2 * np.pi * times / DURATION_S
-    eyes = np.stack([3.2 * np.sin(swing), 0.8 + 0.3 * np.sin(swing), 3.2 * np.cos(swing)], axis=1)
     return Scene(
         name="hairball",
         static=(
@@ -78,7 +75,13 @@ def build() -> Scene:
             ),
             Light("point", (6.0, 7.0, 9.0), (-3.0, 1.0, 1.0), name="fill"),
         ),
-        camera=KeyedCamera.looking(times, eyes, np.zeros((9, 3)), float(np.radians(45.0)), "circle", closed=True),
+        camera=round_trip(
+            "circle",
+            DURATION_S,
+            45.0,
+            lambda a: (3.2 * np.sin(a), 0.8 + 0.3 * np.sin(a), 3.2 * np.cos(a)),
+            lambda a: (0.0, 0.0, 0.0),
+        ),
         sha256=recipe_sha256("hairball", VERSION),
         ambient=(0.08, 0.08, 0.09),
         background=(0.1, 0.11, 0.13),

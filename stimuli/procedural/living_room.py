@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from stimuli.camera_path import KeyedCamera
+from stimuli.procedural.rooms import Room
 from stimuli.procedural.shapes import (
     Mesh,
     box,
@@ -26,6 +27,7 @@ from stimuli.procedural.shapes import (
     torus,
     tube,
 )
+from stimuli.procedural.tracks import round_trip
 from stimuli.scene import RGB, Light, Part, Scene
 
 VERSION = 1
@@ -65,20 +67,21 @@ def build() -> Scene:
 
 def _shell(rng: np.random.Generator) -> list[Part]:
     w, d, h = WIDTH_M / 2, DEPTH_M / 2, HEIGHT_M
+    room = Room(WIDTH_M, DEPTH_M, HEIGHT_M)
     planks = noise(rng, 512, (0.3, 0.17, 0.08), (0.62, 0.42, 0.24), slope=1.3)
     planks[::64, :, :3] //= 3
     planks[32::64, 100::256, :3] //= 3
     paper = checkerboard(128, 16, (0.78, 0.75, 0.68), (0.82, 0.79, 0.72))
     # The left wall has two openings of 1.0 x 1.2 m.
     wall = [
-        rectangle((-w, 0, d), (0, 0, -2 * d), (0, 0.9, 0), (10, 2)),
-        rectangle((-w, 2.1, d), (0, 0, -2 * d), (0, h - 2.1, 0), (10, 1)),
-        rectangle((-w, 0.9, d), (0, 0, -(d - 1.4)), (0, 1.2, 0), (2, 2)),
-        rectangle((-w, 0.9, 0.4), (0, 0, -1.0), (0, 1.2, 0), (2, 2)),
-        rectangle((-w, 0.9, -1.6), (0, 0, -(d - 1.6)), (0, 1.2, 0), (2, 2)),
-        rectangle((w, 0, -d), (0, 0, 2 * d), (0, h, 0), (10, 5)),
-        rectangle((-w, 0, -d), (2 * w, 0, 0), (0, h, 0), (12, 5)),
-        rectangle((w, 0, d), (-2 * w, 0, 0), (0, h, 0), (12, 5)),
+        room.left((10, 2), d, 2 * d, 0, 0.9),
+        room.left((10, 1), d, 2 * d, 2.1, h - 2.1),
+        room.left((2, 2), d, d - 1.4, 0.9, 1.2),
+        room.left((2, 2), 0.4, 1.0, 0.9, 1.2),
+        room.left((2, 2), -1.6, d - 1.6, 0.9, 1.2),
+        room.right_wall((10, 5)),
+        room.back_wall((12, 5)),
+        room.front_wall((12, 5)),
     ]
     frames = []
     for z in (-1.1, 0.9):
@@ -91,10 +94,10 @@ def _shell(rng: np.random.Generator) -> list[Part]:
     return [
         part(
             "floor",
-            rectangle((-w, 0, d), (2 * w, 0, 0), (0, 0, -2 * d), (3, 2.5)),
+            room.floor((3, 2.5)),
             matte("planks", (1, 1, 1), planks, 0.25),
         ),
-        part("ceiling", rectangle((-w, h, -d), (2 * w, 0, 0), (0, 0, 2 * d)), matte("ceiling", (0.85, 0.85, 0.83))),
+        part("ceiling", room.ceiling(), matte("ceiling", (0.85, 0.85, 0.83))),
         part("walls", join(wall), matte("wallpaper", (1.0, 1.0, 1.0), paper)),
         part("woodwork", join([*frames, *skirting]), matte("white paint", (0.85, 0.85, 0.84), roughness=0.3)),
         part("pictures", pictures, matte("pictures", (1.0, 1.0, 1.0), art)),
@@ -251,8 +254,10 @@ def _lamp() -> list[Part]:
 
 
 def _camera() -> KeyedCamera:
-    times = np.linspace(0.0, DURATION_S, 9)
-    swing = 2 * np.pi * times / DURATION_S
-    eyes = np.stack([1.1 * np.sin(swing), 1.35 + 0.1 * np.sin(2 * swing), 1.9 + 0.3 * np.cos(swing)], axis=1)
-    aims = np.stack([0.8 * np.sin(swing - 0.6), np.full(9, 0.75), np.full(9, -1.6)], axis=1)
-    return KeyedCamera.looking(times, eyes, aims, float(np.radians(58.0)), "glide", closed=True)
+    return round_trip(
+        "glide",
+        DURATION_S,
+        58.0,
+        lambda a: (1.1 * np.sin(a), 1.35 + 0.1 * np.sin(2 * a), 1.9 + 0.3 * np.cos(a)),
+        lambda a: (0.8 * np.sin(a - 0.6), 0.75, -1.6),
+    )

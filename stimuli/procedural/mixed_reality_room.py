@@ -33,6 +33,7 @@ from stimuli.procedural.shapes import (
     sphere,
     torus,
 )
+from stimuli.procedural.tracks import round_trip
 from stimuli.scene import Light, Material, Part, Scene
 
 VERSION = 1
@@ -279,8 +280,10 @@ def _room() -> list[Part]:
 
 
 def _camera() -> KeyedCamera:
-    times = np.linspace(0.0, DURATION_S, 9)
-    swing = 2 * np.pi * times / DURATION_S
-    eyes = np.stack([1.2 * np.sin(swing), 1.5 + 0.1 * np.cos(swing), 2.9 + 0.2 * np.cos(swing)], axis=1)
-    aims = np.stack([0.3 * np.sin(swing + 1), np.full(9, 0.35), np.full(9, -0.5)], axis=1)
-    return KeyedCamera.looking(times, eyes, aims, float(np.radians(52.0)), "head", closed=True)
+    return round_trip(
+        "head",
+        DURATION_S,
+        52.0,
+        lambda a: (1.2 * np.sin(a), 1.5 + 0.1 * np.cos(a), 2.9 + 0.2 * np.cos(a)),
+        lambda a: (0.3 * np.sin(a + 1), 0.35, -0.5),
+    )

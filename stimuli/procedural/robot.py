@@ -22,7 +22,7 @@ from stimuli.procedural.shapes import (
     sphere,
     torus,
 )
-from stimuli.procedural.tracks import CurveTrack, SwingTrack
+from stimuli.procedural.tracks import CurveTrack, SwingTrack, round_trip
 from stimuli.scene import Light, Material, Mover, Part, PoseTrack, Scene
 
 VERSION = 1
@@ -168,8 +168,10 @@ def _workshop() -> tuple[Part, ...]:
 
 
 def _camera() -> KeyedCamera:
-    times = np.linspace(0.0, DURATION_S, 9)
-    swing = 2 * np.pi * times / DURATION_S
-    eyes = np.stack([0.8 * np.sin(swing), 1.7 + 0.1 * np.sin(2 * swing), np.full(9, 4.2)], axis=1)
-    aims = np.stack([0.9 * np.cos(swing), np.full(9, 1.05), np.zeros(9)], axis=1)
-    return KeyedCamera.looking(times, eyes, aims, float(np.radians(50.0)), "follow", closed=True)
+    return round_trip(
+        "follow",
+        DURATION_S,
+        50.0,
+        lambda a: (0.8 * np.sin(a), 1.7 + 0.1 * np.sin(2 * a), 4.2),
+        lambda a: (0.9 * np.cos(a), 1.05, 0.0),
+    )

@@ -22,7 +22,7 @@ from stimuli.procedural.shapes import (
     rotation,
     sphere,
 )
-from stimuli.procedural.tracks import CurveTrack, WheelTrack
+from stimuli.procedural.tracks import CurveTrack, WheelTrack, round_trip
 from stimuli.scene import Light, Mover, Part, Scene
 
 VERSION = 1
@@ -189,8 +189,10 @@ def _room() -> tuple[Part, ...]:
 
 def _camera() -> KeyedCamera:
     """A slow arc in front of the course, aimed near its middle; closed in 8 s."""
-    times = np.linspace(0.0, DURATION_S, 9)
-    swing = 2 * np.pi * times / DURATION_S
-    eyes = np.stack([0.45 * np.sin(swing), 0.75 + 0.1 * np.cos(swing), 1.75 - 0.15 * np.cos(swing)], axis=1)
-    aims = np.stack([0.15 * np.sin(swing + 0.6), np.full(9, 0.05), 0.1 * np.cos(swing)], axis=1)
-    return KeyedCamera.looking(times, eyes, aims, float(np.radians(45.0)), "arc", closed=True)
+    return round_trip(
+        "arc",
+        DURATION_S,
+        45.0,
+        lambda a: (0.45 * np.sin(a), 0.75 + 0.1 * np.cos(a), 1.75 - 0.15 * np.cos(a)),
+        lambda a: (0.15 * np.sin(a + 0.6), 0.05, 0.1 * np.cos(a)),
+    )

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from stimuli.camera_path import KeyedCamera
 from stimuli.scene import PoseTrack
+
+Curve = Callable[[np.ndarray], Sequence[np.ndarray | float]]
 
 
 @dataclass(frozen=True)
@@ -110,3 +114,12 @@ def turn_matrices(axis: int, angle_rad: np.ndarray) -> np.ndarray:
     cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
     result[:, a, a], result[:, a, b], result[:, b, a], result[:, b, b] = cosine, -sine, sine, cosine
     return result
+
+
+def round_trip(name: str, duration_s: float, yfov_deg: float, eyes: Curve, aims: Curve) -> KeyedCamera:
+    """A camera that comes back after ``duration_s``: nine keys of where it stands and what it looks at, each x, y and z
+    (or a number) of an angle that goes once round."""
+    times = np.linspace(0.0, duration_s, 9)
+    angle = 2 * np.pi * times / duration_s
+    places, targets = (np.stack(np.broadcast_arrays(angle, *curve(angle))[1:], axis=1) for curve in (eyes, aims))
+    return KeyedCamera.looking(times, places, targets, float(np.radians(yfov_deg)), name, closed=True)

@@ -7,6 +7,7 @@ import numpy as np
 from stimuli.camera_path import KeyedCamera
 from stimuli.gltf_materials import REPEAT, texture_of
 from stimuli.procedural.shapes import Mesh, generator, part, recipe_sha256
+from stimuli.procedural.tracks import round_trip
 from stimuli.scene import RGB, Light, Material, Scene, pyrender
 
 VERSION = 1
@@ -145,8 +146,10 @@ def _material(rng: np.random.Generator, name: str, color: RGB) -> Material:
 
 
 def _flight() -> KeyedCamera:
-    times = np.linspace(0.0, DURATION_S, 9)
-    swing = 2 * np.pi * times / DURATION_S
-    eyes = np.stack([58 * np.sin(swing), 46 + 8 * np.cos(2 * swing), 58 * np.cos(swing)], axis=1)
-    aims = np.stack([14 * np.sin(swing + 1.9), np.full(9, 14.0), 14 * np.cos(swing + 1.9)], axis=1)
-    return KeyedCamera.looking(times, eyes, aims, float(np.radians(55.0)), "flight", closed=True)
+    return round_trip(
+        "flight",
+        DURATION_S,
+        55.0,
+        lambda a: (58 * np.sin(a), 46 + 8 * np.cos(2 * a), 58 * np.cos(a)),
+        lambda a: (14 * np.sin(a + 1.9), 14.0, 14 * np.cos(a + 1.9)),
+    )
