@@ -171,13 +171,13 @@ def _serve(pipe: Connection, writer: _Writer, started_ns: int) -> None:
             wall_s = (clock.now_ns() - started_ns) * 1e-9
             times = os.times()
             statistics = LogStatistics(times.user + times.system, wall_s, writer.worst_lag_s, writer.lost, writer.rows)
-            pipe.send(("ok", statistics))
+            _answer(pipe, ("ok", statistics))
             return
         if message is not None:
             for method, arguments in message:
                 getattr(writer.file, method)(*arguments)
             writer.commit()
-            pipe.send(("ok", None))
+            _answer(pipe, ("ok", None))
             writer.mark(message)
         elif clock.now_ns() >= next_commit_ns:
             writer.commit()

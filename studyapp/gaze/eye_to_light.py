@@ -97,14 +97,13 @@ def measure_eye_to_light(
     logger = Logger(port if emulator is None else emulator.port)
     loop = _Follower(display, gl, gaze, emulator)
     rng = np.random.default_rng(seed)
-    per_s = float(display.nominal_hz)
     try:
         with undisturbed():
-            loop.refresh(round(0.2 * per_s))
+            loop.refresh(0.2)
             logger.events()
             for _ in range(steps):
                 logger.move_eye()
-                loop.refresh(round((STEP_S + rng.uniform(0, STEP_JITTER_S)) * per_s))
+                loop.refresh(STEP_S + rng.uniform(0, STEP_JITTER_S))
                 logger.events()
             events = logger.events()
     finally:
@@ -137,12 +136,13 @@ class _Follower:
         self._presenter = Presenter(self._display, KeptFlips(), patch="refresh")
         self._stage = self._presenter.stage
 
-    def refresh(self, count: int) -> None:
-        """So many refreshes."""
+    def refresh(self, duration_s: float) -> None:
+        """Refreshes for so long, by the clock: an unlocked display may not wait for its vblanks."""
         level, on, off = self._stage.background, self._stage.patch_on, self._stage.patch_off
         assert on is not None
         assert off is not None
-        for _ in range(count):
+        until_ns = self._display.now_ns() + round(duration_s * 1e9)
+        while self._display.now_ns() < until_ns:
             newest = self._gaze.newest()
             if newest is not None and newest[3]:
                 self._lit = newest[0] > 0

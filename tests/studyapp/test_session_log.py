@@ -197,6 +197,30 @@ if __name__ == "__main__":
     db.close()
 
 
+def test_a_presenter_killed_before_its_answer_leaves_the_trial_and_no_words(tmp_path: Path) -> None:
+    path = tmp_path / "s.sqlite"
+    program = f"""
+import os, signal, sys
+sys.path.insert(0, {str(Path(__file__).parents[2])!r})
+from pathlib import Path
+from studyapp.session_log import DurableLog
+from tests.studyapp.test_session_log import response, trial_row
+if __name__ == "__main__":
+    log = DurableLog(Path({str(path)!r}))
+    log._pipe.send([("trial", (trial_row(0), (response(0),)))])
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+    script = tmp_path / "presenter.py"
+    script.write_text(program)
+    # The words of the writer, which outlives it for a moment, come through the same line.
+    done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, check=False, timeout=60)
+    assert (done.returncode, done.stderr) == (-signal.SIGKILL, "")
+    assert not path.with_name("s.sqlite-wal").exists()
+    db = sqlite3.connect(path)
+    assert db.execute("SELECT trial FROM trials").fetchall() == [(0,)]
+    db.close()
+
+
 def test_a_full_disk_stops_with_one_line_and_keeps_what_was_acknowledged(tmp_path: Path) -> None:
     path = tmp_path / "s.sqlite"
     log = DurableLog(path)
