@@ -124,3 +124,4 @@ class Gaze(Model):
         default=3.0, description="a fixated trial whose gaze strays further is flagged"
     )
     latency_p95_ms: NonNegative = 60.0
+    show: bool = Field(default=False, description="a mark on the participant's own display where they look")

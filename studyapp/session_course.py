@@ -85,7 +85,7 @@ def run_course(request: RunRequest, ready: Prepared) -> RunDone:
         presenter = Presenter(
             ready.display, log, geometry=view_geometry(study, ready.lab), style=session_style(study, ready.lab),
             patch="off" if ready.lab.sensor is None else "refresh", abort_keys=frozenset({"escape"}),
-            upload_limit_bytes_s=ready.upload_limit_bytes_s,
+            upload_limit_bytes_s=ready.upload_limit_bytes_s, show_gaze=study.gaze.show,
         )  # fmt: skip
         rules = Rules(study.timing.miss_policy, study.timing.max_missed, study.gaze.fixation_limit_deg)
         # The virtual display leaps over refreshes: there is nothing to look at in between.

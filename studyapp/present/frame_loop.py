@@ -28,7 +28,7 @@ from protocols.records import (
 )
 from studyapp.display.virtual_display import VirtualDisplay
 from studyapp.present.playlist import source_frames
-from studyapp.present.uploader import PanelTexture, Sprite
+from studyapp.present.uploader import GazeMark, PanelTexture, Sprite
 from studyapp.seams import Display, FlipSink, GazeSource, Press, Responder
 
 MissPolicy = Literal["hold", "skip"]
@@ -97,6 +97,7 @@ class Stage:
     background: float
     patch_on: Sprite | None
     patch_off: Sprite | None
+    gaze_mark: GazeMark | None = None
 
 
 @contextmanager
@@ -169,7 +170,7 @@ def _accept(phase: Phase, shown: PhaseShown, pressed: Sequence[Press]) -> bool:
 def _loop(
     stage: Stage, phase: Phase, responder: Responder | None, gaze: GazeSource | None, policy: MissPolicy
 ) -> PhaseShown:
-    display, sink, gl, level = stage.display, stage.sink, stage.gl, stage.background
+    display, sink, gl, level, mark = stage.display, stage.sink, stage.gl, stage.background, stage.gaze_mark
     flip, now_ns, put = display.flip, display.now_ns, sink.put
     poll = responder.poll if responder is not None else None
     shown = PhaseShown()
@@ -211,6 +212,8 @@ def _loop(
                     texture.fetch(table[following])
         uploaded = now_ns()
         newest = gaze.newest() if gaze is not None else None
+        if newest is not None and newest[3] and mark is not None:
+            mark.draw(newest[0], newest[1])
         done = flip()
         lost = done.missed if shown.swaps or phase.continues else 0
         age = -1

@@ -20,19 +20,21 @@ from protocols.records import FLIP_OFFSET, FLIP_ONSET, MAX_PANELS
 from protocols.trial import Question, Trial
 from renderers.technique import ViewGeometry
 from stimuli.errors import InputError, problem
+from studyapp.gaze.angles import ScreenGeometry
 from studyapp.present.admission import admit, touch
 from studyapp.present.frame_loop import MissPolicy, PanelPlay, Phase, PhaseShown, Stage, show_phase, undisturbed
 from studyapp.present.layout import IN_SEQUENCE, PanelRect, place_panels
 from studyapp.present.overlay import Style, Words, paint_cross, paint_question, paint_words, pixels_per_degree
 from studyapp.present.playlist import check_rate, refresh_count
 from studyapp.present.shown import Answer, KeptFlips, TrialShown, answer_of, key_meanings, trial_of
-from studyapp.present.uploader import PanelTexture, Quads, Sprite
+from studyapp.present.uploader import GazeMark, PanelTexture, Quads, Sprite
 from studyapp.seams import Display, FlipSink, FrameSource, GazeSource, Responder
 
 __all__ = ["DESK", "Answer", "KeptFlips", "OnOnset", "Presenter", "TrialShown"]
 
 DESK = ViewGeometry(width_m=0.5313, height_m=0.2989, distance_m=0.6)
 """A 24-inch 16:9 screen at 60 cm: used where neither protocol nor lab file says."""
+GAZE_MARK_DEG = 0.2
 OnOnset = Callable[[int], None]
 
 
@@ -40,7 +42,8 @@ OnOnset = Callable[[int], None]
 class Presenter:
     """See the module. ``geometry``: the display as seen by the observer (letters have their size in degrees);
     ``patch``: light patch for a photodiode, 'refresh' toggles at every refresh of a stimulus, 'onset' is lit while the
-    stimulus is up; ``abort_keys`` end anything at once. On the virtual display nothing is painted or uploaded."""
+    stimulus is up; ``show_gaze``: a mark where the eye looks; ``abort_keys`` end anything at once. On the virtual
+    display nothing is painted or uploaded."""
 
     display: Display
     sink: FlipSink
@@ -52,6 +55,7 @@ class Presenter:
     abort_keys: frozenset[str] = frozenset()
     disk_bytes_s: float | None = None
     upload_limit_bytes_s: float | None = None
+    show_gaze: bool = False
 
     def __post_init__(self) -> None:
         context = self.display.context()
@@ -63,7 +67,13 @@ class Presenter:
         if self._gl is not None and self._quads is not None and self.patch != "off":
             rect = self._patch_rect()
             lit, dark = (self._still(rect, _flat(rect, code)) for code in (255, 0))
-        self.stage = Stage(self.display, self.sink, self._gl, self.style.background / 255, lit, dark)
+        mark = None
+        if self._gl is not None and self.show_gaze:
+            screen = ScreenGeometry(
+                self.geometry.width_m, self.geometry.height_m, self.geometry.distance_m, self.display.size_px
+            )
+            mark = GazeMark(self._gl, screen, max(3, self._size_px(GAZE_MARK_DEG)), self.style.ink)
+        self.stage = Stage(self.display, self.sink, self._gl, self.style.background / 255, lit, dark, mark)
 
     # -- what a session calls -------------------------------------------------------------------------------------
 
@@ -319,9 +329,12 @@ class Presenter:
             raise RuntimeError("no pixels are drawn on a virtual display")
         return Sprite(self._gl, self._quads, rect, picture)
 
+    def _size_px(self, degrees: float) -> int:
+        return round(degrees * pixels_per_degree(self.display.size_px, self.geometry))
+
     def _patch_rect(self) -> PanelRect:
         width, height = self.display.size_px
-        size = max(8, round(self.style.patch_deg * pixels_per_degree(self.display.size_px, self.geometry)))
+        size = max(8, self._size_px(self.style.patch_deg))
         x = width - size if self.style.patch_corner.endswith("right") else 0
         y = height - size if self.style.patch_corner.startswith("lower") else 0
         return PanelRect("patch", x, y, size, size)

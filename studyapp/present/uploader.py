@@ -11,6 +11,7 @@ import moderngl
 import numpy as np
 
 from stimuli.errors import InputError, problem
+from studyapp.gaze.angles import ScreenGeometry
 from studyapp.present.layout import PanelRect
 from studyapp.seams import FrameSource
 
@@ -81,6 +82,24 @@ class Sprite:
         """Give texture and vertices back."""
         for thing in (self._vertices, self._buffer, self._texture):
             thing.release()
+
+
+class GazeMark:
+    """A small square where the eye looks, above everything else: for protocols that show gaze to the participant."""
+
+    def __init__(self, gl: moderngl.Context, screen: ScreenGeometry, side_px: int, code: int) -> None:
+        self._gl, self._screen, self._side_px, self._level = gl, screen, side_px, code / 255
+
+    def draw(self, x_dva: float, y_dva: float) -> None:
+        """Draw it now; nothing where the eye looks past the screen."""
+        x, y = self._screen.from_dva(x_dva, y_dva)
+        width, height = self._screen.size_px
+        left = round(float(x) * width - self._side_px / 2)
+        low = round((1 - float(y)) * height - self._side_px / 2)
+        if -self._side_px < left < width and -self._side_px < low < height:
+            self._gl.scissor = (left, low, self._side_px, self._side_px)
+            self._gl.clear(self._level, self._level, self._level, 1.0)
+            self._gl.scissor = None
 
 
 class PanelTexture:

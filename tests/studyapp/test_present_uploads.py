@@ -9,9 +9,11 @@ import pytest
 
 from protocols.records import FLIP_LIGHT_PATCH
 from protocols.trial import Panel, Trial
+from renderers.technique import ViewGeometry
 from stimuli.errors import InputError
 from studyapp.display.choose import open_display
 from studyapp.display.virtual_display import VirtualDisplay
+from studyapp.gaze.angles import ScreenGeometry
 from studyapp.present import uploader
 from studyapp.present.admission import UploadBudget, admit, measure_upload
 from studyapp.present.presenter import KeptFlips, Presenter
@@ -150,6 +152,36 @@ def test_pixel_buffers_of_a_gpu_bring_the_same_pixels(monkeypatch) -> None:
     display.close()
     assert [pixel[0] for pixel in display.seen[:24]] == [[k, 7, 255 - k] for k in range(24)]
     assert sink.rows()["source"][:24, 0].tolist() == list(range(24))
+
+
+class StillGaze:
+    name = "still"
+
+    def __init__(self, at: tuple[float, float], valid: bool = True) -> None:
+        self._at, self._valid = at, valid
+
+    def newest(self) -> tuple[float, float, int, bool]:
+        return *self._at, 0, self._valid
+
+    def alive(self) -> bool:
+        return True
+
+
+@pytest.mark.parametrize(("show", "valid", "marked"), [(True, True, True), (True, False, False), (False, True, False)])
+def test_gaze_is_marked_for_the_participant_only_where_the_protocol_says_so(
+    show: bool, valid: bool, marked: bool
+) -> None:
+    display = Watched([(240, 15), (160, 30), (239, 15)])
+    geometry = ViewGeometry(0.32, 0.06, 0.6)
+    screen = ScreenGeometry(0.32, 0.06, 0.6, (320, 60))
+    at = tuple(float(angle) for angle in screen.to_dva(240.5 / 320, 15.5 / 60))
+    presenter = Presenter(display, KeptFlips(), geometry=geometry, show_gaze=show)
+    presenter.play(trial("left"), {"left": NumberedClip(120, 30)}, gaze=StillGaze(at, valid))
+    presenter.close()
+    display.close()
+    ink, ground = presenter.style.ink, presenter.style.background
+    assert display.seen[3][0] == ([ink] * 3 if marked else [ground] * 3)
+    assert display.seen[3][1] == [3, 0, 252]
 
 
 def test_light_patch_toggles_in_the_record_and_on_the_screen() -> None:
