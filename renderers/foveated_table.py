@@ -19,6 +19,7 @@ from renderers.clip_frames import scene_exposure, view_at
 from renderers.eccentricity import eye_plane, picture_eccentricity_deg
 from renderers.engine import Engine
 from renderers.foveated.technique import Foveated
+from renderers.metrics import flip_map, pixels_per_degree
 from renderers.parameters import Foveated as FoveatedParameters
 from renderers.parameters import Vanilla as VanillaParameters
 from renderers.stereo import OCULUS_DK2, Headset
@@ -46,7 +47,8 @@ class Cell:
     """One scene under one light setting. Times are medians in ms; ``share``: traced of all pixels, mean over frames.
 
     ``trace_speedup`` compares the trace stages, ``speedup`` whole frames. ``rmse_by_ring``: of display values x 255
-    against the full frames, by `RINGS_DEG`, over all frames compared.
+    against the full frames, by `RINGS_DEG`, over all frames compared (one in five); ``flip_by_ring``: mean LDR-FLIP of
+    the last frame.
     """
 
     scene: str
@@ -61,15 +63,17 @@ class Cell:
     trace_speedup: float
     speedup: float
     rmse_by_ring: tuple[float, ...]
+    flip_by_ring: tuple[float, ...]
 
     def line(self) -> str:
         """The cell as a line of text."""
         stages = " ".join(f"{name} {ms:.1f}" for name, ms in self.stages_ms.items() if ms >= 0.05)
         rings = " ".join(f"{v:.1f}" for v in self.rmse_by_ring)
+        flips = " ".join(f"{v:.3f}" for v in self.flip_by_ring)
         return (
             f"{self.scene:12s} {self.setting:17s} {100 * (1 - self.share):5.1f} % fewer  full {self.full_ms:7.1f} ms  "
             f"ours {self.total_ms:7.1f} ms  trace x{self.trace_speedup:.2f}  frame x{self.speedup:.2f}  [{stages}]  "
-            f"rmse {rings}"
+            f"rmse {rings}  flip {flips}"
         )
 
 
@@ -134,6 +138,11 @@ def measure_cell(
             error = display_values(frame.color, exposure) - display_values(wanted.color, exposure)
             squares += np.bincount(ring.ravel(), (error**2).mean(-1).ravel(), len(RINGS_DEG))
             pixels += np.bincount(ring.ravel(), minlength=len(RINGS_DEG))
+    last = flip_map(
+        display_values(frame.color, exposure), display_values(wanted.color, exposure),
+        pixels_per_degree(*size, eye.yfov_rad, None),
+    )  # fmt: skip
+    flips = [float(last[ring == k].mean()) if (ring == k).any() else math.nan for k in range(len(RINGS_DEG) - 1)]
     foveated.close()
 
     def median_ms(which: int, stage: str) -> float:
@@ -146,7 +155,7 @@ def measure_cell(
         scene=scene.name, setting=setting, frames=frames, share=float(np.mean(shares)),
         marked=float(np.mean(marked)), full_ms=full_ms, full_trace_ms=full_trace, total_ms=total, stages_ms=stages,
         trace_speedup=full_trace / stages["trace"], speedup=full_ms / total,
-        rmse_by_ring=tuple(float(v) for v in errors[: len(RINGS_DEG) - 1]),
+        rmse_by_ring=tuple(float(v) for v in errors[: len(RINGS_DEG) - 1]), flip_by_ring=tuple(flips),
     )  # fmt: skip
 
 
@@ -158,6 +167,7 @@ def summary(cells: Sequence[Cell]) -> dict[str, Any]:
     return {
         "fewer_samples_percent": 100 * (1 - math.fsum(c.share for c in cells) / len(cells)),
         "trace_speedup": {s: float(np.mean([c.trace_speedup for c in of])) for s, of in by_setting.items() if of},
+        "speedup": {s: float(np.mean([c.speedup for c in of])) for s, of in by_setting.items() if of},
         "speedup_mean": float(np.mean([c.speedup for c in cells])),
         "speedup_best": max(c.speedup for c in cells),
         "paper": {"fewer_samples_percent": 79, "speedup_mean": 2.55, "speedup_best": 4.18, "table_1": PAPER},

@@ -46,6 +46,22 @@ def psnr_db(error: float) -> float:
     return math.inf if error == 0 else -20.0 * math.log10(error)
 
 
+def flip_map(test: np.ndarray, reference: np.ndarray, pixels_per_degree: float) -> np.ndarray:
+    """(H, W) LDR-FLIP of two sRGB pictures, in [0, 1] (Andersson et al. 2020)."""
+    import flip_evaluator  # compiled, only needed here
+
+    found, _, _ = flip_evaluator.evaluate(
+        np.ascontiguousarray(reference, np.float32),
+        np.ascontiguousarray(test, np.float32),
+        "LDR",
+        inputsRGB=True,
+        applyMagma=False,
+        computeMeanError=True,
+        parameters={"ppd": float(pixels_per_degree)},
+    )
+    return np.asarray(found).reshape(test.shape[:2])
+
+
 def flip(test: np.ndarray, reference: np.ndarray, pixels_per_degree: float) -> float:
     """Mean LDR-FLIP of two sRGB pictures (Andersson et al. 2020)."""
     import flip_evaluator  # compiled, only needed here

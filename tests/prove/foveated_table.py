@@ -31,7 +31,7 @@ def main(frames: int = 30, names: tuple[str, ...] = ()) -> int:
         path = camera_path(scene, "sway") if name == "sponza" else None
         for setting in SETTINGS:
             cells.append(measure_cell(scene, setting, frames, camera=path))
-            print(cells[-1].line(), flush=True)
+            print(cells[-1].line(), f"load {os.getloadavg()[0]:.1f}", flush=True)
     found = summary(cells)
     print(json.dumps({key: value for key, value in found.items() if key not in ("cells", "paper")}))
     out = Path("evidence/foveated_table.json")

@@ -39,6 +39,8 @@ def test_a_cell_of_each_setting() -> None:
         assert len(cell.rmse_by_ring) == len(RINGS_DEG) - 1
         assert cell.rmse_by_ring[0] < 1e-6  # the fovea is what full ray tracing shows
         assert cell.rmse_by_ring[2] > 0
+        assert cell.flip_by_ring[0] < 0.02  # it looks around each pixel
+        assert 0.005 < max(cell.flip_by_ring) < 0.5
         assert setting in cell.line()
     found = summary(cells)
     assert found["fewer_samples_percent"] == pytest.approx(100 * (1 - np.mean([c.share for c in cells])))
