@@ -15,7 +15,6 @@ import os
 import random
 import signal
 import sqlite3
-import subprocess
 import sys
 import tempfile
 import time
@@ -23,10 +22,12 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from itertools import count, cycle
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 from protocols.records import has_table
+from studyapp.cli import main
 from studyapp.session_file import read_header, verify
 
 ROOT = Path(__file__).parents[2]
@@ -80,12 +81,57 @@ def session_arguments(folder: Path, data: Path) -> list[str]:
             "--observer", "simulated", "--data", str(data)]  # fmt: skip
 
 
-def start(arguments: list[str], folder: Path) -> tuple[subprocess.Popen[str], dict[str, int]]:
-    """The session's process, and those that it has started by role, once it has begun."""
+class Started:
+    """A session in a process of its own (forked from a server that has the imports behind it), as `subprocess.Popen`
+    would have it. ``words``: a pipe that all of its processes write their errors to."""
+
+    def __init__(self, arguments: list[str], words: Path) -> None:
+        words.unlink(missing_ok=True)
+        os.mkfifo(words)
+        self._words = os.open(words, os.O_RDONLY | os.O_NONBLOCK)
+        context = get_context("forkserver")
+        context.set_forkserver_preload(["studyapp.commands.run", "studyapp.run_session"])
+        self._process = context.Process(target=_run_session, args=(arguments, str(words)))
+        self._process.start()
+        self.pid = int(self._process.pid or 0)
+
+    def poll(self) -> int | None:
+        """The exit code; None while it runs."""
+        return self._process.exitcode
+
+    @property
+    def returncode(self) -> int | None:
+        """As `poll`."""
+        return self._process.exitcode
+
+    def kill(self) -> None:
+        """kill -9."""
+        self._process.kill()
+
+    def communicate(self, timeout: float = 600.0) -> tuple[None, str]:
+        """Wait for it, and for every process of its own; (None, what they said)."""
+        self._process.join(timeout)
+        os.set_blocking(self._words, True)
+        said = b""
+        while chunk := os.read(self._words, 65536):
+            said += chunk
+        os.close(self._words)
+        return None, said.decode()
+
+
+def _run_session(arguments: list[str], words: str) -> None:
+    os.dup2(os.open(words, os.O_WRONLY), 2)
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+    os.chdir(ROOT)
+    sys.exit(main(arguments))
+
+
+def start(arguments: list[str], folder: Path) -> tuple[Started, dict[str, int]]:
+    """The session of the command line ``arguments``, and the processes that it has started by role, once it has
+    begun."""
     pids_file = folder / "pids.json"
     pids_file.unlink(missing_ok=True)
-    process = subprocess.Popen([*arguments, "--pids", str(pids_file)], cwd=ROOT, stderr=subprocess.PIPE, text=True,
-                               stdout=subprocess.DEVNULL)  # fmt: skip
+    process = Started([*arguments[3:], "--pids", str(pids_file)], folder / "words")
     while process.poll() is None:
         try:
             return process, {**json.loads(pids_file.read_text()), "presenter": process.pid}
