@@ -32,6 +32,10 @@ def condition_problems(study: Study) -> Iterator[Problem]:
             yield unknown((*loc, "technique"), f"{what}.technique", condition.technique, list(CATALOGUE))
             continue
         yield from parameter_problems(condition.technique, condition.params, (*loc, "params"), f"{what}.params")
+        if condition.reference_error is not None and not CATALOGUE[condition.technique].averages:
+            able = " | ".join(n for n, entry in CATALOGUE.items() if entry.averages)
+            got = f"in a condition of {condition.technique}"
+            yield (*loc, "reference_error"), f"{what}.reference_error", got, f"it in one of {able}"
 
 
 def channel_problems(study: Study) -> Iterator[Problem]:

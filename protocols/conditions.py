@@ -81,6 +81,10 @@ class Condition(Model):
     rate_hz: Rate | None = Field(default=None, description="none: the trial's setting, else the display's refresh rate")
     live: bool | None = None
     channels: Channels | None = Field(default=None, description="none: the trial's setting")
+    reference_error: Annotated[float, Field(gt=0, le=1)] | None = Field(
+        default=None,
+        description="standard error of display values in [0, 1] that decides a reference's samples, at most spp",
+    )
     label: str | None = Field(default=None, max_length=80, description="how plots name it")
 
     @property

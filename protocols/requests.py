@@ -48,6 +48,7 @@ class ClipSpec:
     exposure: float | None = None
     live: bool = False
     channels: tuple[str, ...] = ()
+    reference_error: float | None = None
 
     @property
     def frame_count(self) -> int:
@@ -56,7 +57,7 @@ class ClipSpec:
 
     def request(self, scene_sha256: str, exposure: float, external_sha256: str = "") -> ClipRequest:
         """The store's request. ``exposure`` is used where the protocol fixes none; ``external_sha256`` is the hash of
-        a technique from outside the tree."""
+        a technique from outside the tree. Where a ``reference_error`` decides, ``spp`` is the most there may be."""
         keys = hashlib.sha256(self.path_keys.encode()).hexdigest() if self.path_keys else ""
         return ClipRequest(
             scene=self.scene, scene_sha256=scene_sha256, technique=self.technique, params=json.loads(self.params),
@@ -90,6 +91,7 @@ def clip_spec(study: Study, trial: Trial, shown: Panel) -> ClipSpec:
         loop=str(settings["loop"]), seed=study.seed, geometry=geometry,
         gaze=(trial.fixation if trial.fixation == "moving" else (0.0, 0.0)) if follows else None,
         exposure=scene.exposure, live=shown.live, channels=tuple(dict.fromkeys(channels)),
+        reference_error=None if own is None else own.reference_error,
     )  # fmt: skip
 
 

@@ -21,8 +21,8 @@ MOST_SPP = 65536
 
 @dataclass(frozen=True)
 class Convergence:
-    """``spp``: the smallest power of two whose worst frame is within ``target`` (None: not even `MOST_SPP` by the
-    trend); ``errors``: spp -> measured error of the worst of the frames."""
+    """``spp``: the smallest power of two whose worst frame is within ``target`` (None: not even the most asked
+    for, by the trend); ``errors``: spp -> measured error of the worst of the frames."""
 
     target: float
     spp: int | None
@@ -42,22 +42,24 @@ def reference_error(job: ClipJob, spp: int, renderer: ClipRenderer) -> float:
     return max(errors)
 
 
-def samples_for_error(job: ClipJob, target: float, renderer: ClipRenderer, first: int = 4) -> Convergence:
-    """Double the samples until the measured error is within ``target``.
+def samples_for_error(
+    job: ClipJob, target: float, renderer: ClipRenderer, first: int = 4, most: int = MOST_SPP
+) -> Convergence:
+    """Double the samples, up to ``most``, until the measured error is within ``target``.
 
-    Stops early where the trend of the last doublings says that `MOST_SPP` would not do. InputError for a target that is
+    Stops early where the trend of the last doublings says that ``most`` would not do. InputError for a target that is
     not above 0.
     """
     if not (math.isfinite(target) and target > 0):
         raise InputError(problem("reference error", "target", target, "a number above 0 (display values in [0, 1])"))
     errors: dict[int, float] = {}
-    spp = first
-    while spp <= MOST_SPP:
+    spp = min(first, most)
+    while spp <= most:
         errors[spp] = reference_error(job, spp, renderer)
         if errors[spp] <= target:
             return Convergence(target, spp, errors)
         # error falls with spp^-1/2 at worst (random), spp^-1 at best: what the next steps could reach
-        if errors[spp] * spp / MOST_SPP > target:
+        if errors[spp] * spp / most > target:
             break
         spp *= 2
     return Convergence(target, None, errors)

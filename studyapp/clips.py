@@ -30,6 +30,7 @@ from stimuli.errors import InputError, problem
 from stimuli.play_cache import PlayCache, PlayedClip
 from studyapp.clock import now_ns
 from studyapp.commands.check import find_scene
+from studyapp.settled_samples import settled_samples
 
 if TYPE_CHECKING:
     from stimuli.scene import Scene
@@ -95,6 +96,13 @@ def resolve_clips(study: Study, protocol: str | Path, store: ClipStore) -> Study
         known_technique = CATALOGUE.get(spec.technique)
         if known_technique is not None and known_technique.stateless:
             request = replace(request, warm_up_s="0")  # it does nothing there, and clips are made once
+        if spec.reference_error is not None:
+            try:
+                samples = settled_samples(replace(draft, request=request), spec.reference_error, store)
+            except InputError as error:
+                problems += error.problems
+                continue
+            request = replace(request, params={**request.params, "spp": samples})
         requests[spec] = request
         jobs.append(replace(draft, request=request))
     if problems:

@@ -286,3 +286,29 @@ def test_store_is_the_option_the_environment_or_beside_the_protocol(tmp_path, mo
     monkeypatch.setenv("STUDYAPP_STORE", str(tmp_path / "env"))
     assert store_directory(file) == tmp_path / "env"
     assert store_directory(file, str(tmp_path / "given")) == tmp_path / "given"
+
+
+def test_a_stated_error_decides_the_samples_of_the_reference(tmp_path, capsys, monkeypatch):
+    protocol = tmp_path / "tiny.yaml"
+    protocol.write_text(PROTOCOL.replace("params: {spp: 4}}", "params: {spp: 256}, reference_error: 0.03}"))
+    assert main(["render", str(protocol)]) == 0
+    store = store_of(protocol)
+    (gold,) = [clip for clip in store.published() if clip.request.technique == "reference"]
+    spp = gold.request.params["spp"]
+    assert 4 <= spp < 256
+    errors = [facts["standard_error"] for facts in gold.manifest["frame_facts"].values()]
+    assert 0.03 / 4 < max(errors) <= 0.03
+    # Settled once: a run, or the same command again, measures nothing.
+    monkeypatch.setattr("renderers.convergence.reference_error", lambda *given: 1 / 0)
+    assert main(["render", str(protocol)]) == 0
+    assert "3 were there" in capsys.readouterr().out
+    monkeypatch.undo()
+    (kept,) = (store.root / "convergence").iterdir()
+    kept.write_text("{}")
+    assert resolve_clips(load_study(protocol), protocol, store)
+    protocol.write_text(PROTOCOL.replace("params: {spp: 4}}", "params: {spp: 4}, reference_error: 1.0e-9}"))
+    assert main(["render", str(protocol)]) == 2
+    assert "scene tunnel: reference error: got 0.0" in capsys.readouterr().err
+    protocol.write_text(PROTOCOL.replace("{technique: vanilla}", "{technique: vanilla, reference_error: 0.1}"))
+    assert main(["check", str(protocol)]) == 2
+    assert "conditions.plain.reference_error: got in a condition of vanilla" in capsys.readouterr().err
