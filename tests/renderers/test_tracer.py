@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from dataclasses import replace
 
 import numpy as np
@@ -97,9 +98,10 @@ def test_no_rays_and_no_scene() -> None:
 
 
 def test_one_kernel_serves_all_ray_counts() -> None:
+    gc.collect()  # Dr.Jit's keys hold every live mesh of the process: one that is freed on the way is a new recording
     tracer = Tracer(scene((box((0, 0, 0), (1, 1, 1), diffuse()),), crowd(3)))
-    # 15 launches of other widths; a width may be recorded apart where it is 1 or that of another array, or where
-    # memory lies otherwise, never because it is new
+    # 15 launches of other widths. Recorded apart: 1 ray, 3 rays (as many as bodies), and all others, which Dr.Jit
+    # records once more at their third call.
     for count in (1, 3, 5, 7, 9, 11, 13, 17, 19, 23, 27, 61, 101, 997):
         origin, direction = rays(count)
         hits = tracer.trace(origin, direction, np.linspace(0, 1, count))
@@ -107,7 +109,7 @@ def test_one_kernel_serves_all_ray_counts() -> None:
             np.isclose(hits.t, expected(tracer.scene, origin, direction, np.linspace(0, 1, count))[0], rtol=1e-5).mean()
             > 0.98
         )
-    assert tracer._plain.kernel.recordings <= 6
+    assert tracer._plain.kernel.recordings <= 4
 
 
 def test_bad_meshes_and_rays_are_named() -> None:
