@@ -4,6 +4,7 @@ planned test and effect."""
 from __future__ import annotations
 
 import json
+from html import unescape
 from pathlib import Path
 
 import pytest
@@ -35,3 +36,11 @@ def test_a_shipped_study_goes_from_check_to_report(
             said = [form for one in names for form in (one, one.replace(":", " × "), one.replace(":", " x "))]
             assert any(form in page for form in said), (test.name, effect)
     assert "SIMULATED" in page.upper()
+    # What it repeats, how closely, and each row of paper / here / why.
+    replication = load_study(name).replication
+    if replication is not None:
+        said = " ".join(unescape(page).split())
+        assert f"{replication.kind} of".lower() in said.lower() or f"{replication.kind} replication" in said.lower()
+        for row in replication.deviations:
+            for words in (row.paper, row.here, row.why):
+                assert " ".join(words.split()) in said, words
