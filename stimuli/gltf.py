@@ -276,9 +276,8 @@ class _Reader:
         )
         if moves:
             self._content.skins.append(Skin(len(self._content.static), track))
-            self._document.note(
-                f"{self._document.path.name}: skinned and morphing meshes are as at 0 s where vertices are not updated"
-            )
+            shapes = "skinned and morphing meshes have one shape a refresh; frameless techniques refuse them"
+            self._document.note(f"{self._document.path.name}: {shapes}")
         self._content.static.append(Part(name, mesh, primitive.material, np.eye(4), positions))
 
     # --- cameras and lights ---

@@ -20,7 +20,7 @@ from renderers.vanilla import frame_lanes
 from stimuli import load_scene
 from stimuli.errors import InputError
 from stimuli.scene import Light, Scene, scene_at
-from tests.renderers.float64_tracer import nearest
+from tests.renderers.float64_tracer import nearest, world_triangles
 from tests.renderers.scenes_by_hand import diffuse, look_at, quad
 from tests.stimuli.tiny_glb import TinyGlb
 
@@ -186,3 +186,19 @@ def test_samples_with_times_of_their_own_refuse_it_in_one_line(bending: Scene, t
     with pytest.raises(InputError, match=r"got meshes whose vertices move \(bar\), wanted rigid bodies") as caught:
         next(render_clip(bending, technique, SIZE, RATE, 1 / RATE))
     assert len(str(caught.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize("name", ["cesium_man/CesiumMan.glb", "robot_expressive/RobotExpressive.glb"])
+def test_real_characters_are_hit_where_their_skins_are(assets: Path, name: str) -> None:
+    subject = load_scene(str(assets / name))
+    assert subject.skins
+    time_s = 0.43 * subject.duration_s
+    triangles, _ = world_triangles(scene_at(subject, time_s), time_s)
+    rng = np.random.default_rng(0)
+    low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
+    eye = high + 2 * (high - low)
+    origin = np.tile(eye, (80, 1))
+    direction = triangles[rng.choice(len(triangles), 80)].mean(axis=1) - eye
+    hits = Tracer(subject).trace(origin, direction, time_s)
+    wanted = [nearest(triangles, eye, d / np.linalg.norm(d))[0] for d in direction]
+    np.testing.assert_allclose(hits.t, wanted, rtol=1e-5)
