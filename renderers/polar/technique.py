@@ -26,7 +26,8 @@ from renderers.polar.quality import light_samples, pose_delta
 from renderers.polar.resolve import (
     PanelState,
     PolarState,
-    mark,
+    in_use,
+    look_up,
     panel_state,
     pixel_direction,
     polar_state,
@@ -39,16 +40,18 @@ from renderers.stopwatch import Stopwatch
 from renderers.technique import Frame, LazyCounts, Measure, View
 from stimuli.errors import InputError, problem
 
-_PLANS = 8  # gazes and widths whose texels in use are remembered
+_PLANS, _PLANNED_PIXELS = 8, 1 << 24  # gazes and widths whose look-ups are remembered, and the pixels of all of them
+_PICTURES = 8  # panels whose memory is kept
 RING_DEG = 15.0
 
 
 @dataclass
 class _Plan:
-    """What follows from gaze, panels and width alone: one eye's buffer and the texels that its pixels read."""
+    """What follows from gaze, panels and width alone: one eye's buffer, where its pixels read it, the texels in use."""
 
     polar: PolarState
     panels: list[PanelState]
+    places: list[Any]
     size: tuple[int, int]
     texels: Any
     eye: Any
@@ -70,10 +73,12 @@ class Polar:
         own_probes = None if self.engine.indirect is None else self.engine.indirect.settings
         self._catcher = ShadowCatcher(self.engine, own_probes, seed) if params.mixed_reality else None
         self._watch = Stopwatch(measure, dr.sync_thread)
-        self._trace_kernel, self._mark_kernel = frozen(self._trace), frozen(mark)
+        self._trace_kernel, self._mark_kernel, self._use_kernel = frozen(self._trace), frozen(look_up), frozen(in_use)
         self._resolve_kernel, self._tile_kernel = frozen(resolve), frozen(self._tiles)
         self._capture_kernel = frozen(self._capture)
         self._plans: OrderedDict[tuple, _Plan] = OrderedDict()
+        self._arange: dict[int, Any] = {}
+        self._pictures: dict[tuple[str, tuple[int, int]], Any] = {}
         self.reset(seed)
 
     def reset(self, seed: int) -> None:
@@ -112,14 +117,32 @@ class Polar:
         panels = [panel_state(panel) for panel in eye.panels]
         marks = dr.zeros(mi.UInt32, size[0] * size[1])
         dr.make_opaque(marks)
+        places = []
         for panel, state in zip(eye.panels, panels, strict=True):
-            marks = self._mark_kernel(_pixels(panel), polar, state, _lanes(panel), marks)
-        texels = dr.compress(marks == 1)
-        plan = _Plan(polar, panels, size, texels, opaque_float([eye.offset_m, _least_angle(eye)]))
+            found = dr.zeros(mi.UInt32, 2 * _pixels(panel))
+            dr.make_opaque(found)
+            marks, found = self._mark_kernel(_pixels(panel), polar, state, self._numbers(_pixels(panel)), marks, found)
+            places.append(found)
+        lanes = size[0] * -(-size[1] // 4) * 4
+        texel, used = self._use_kernel(lanes, polar, self._numbers(lanes), marks)
+        texels = dr.gather(mi.UInt32, texel, dr.compress(used))
+        dr.make_opaque(texels)
+        plan = _Plan(polar, panels, places, size, texels, opaque_float([eye.offset_m, _least_angle(eye)]))
         self._plans[key] = plan
-        if len(self._plans) > _PLANS:
+        most = max(1, min(_PLANS, _PLANNED_PIXELS // max(1, sum(map(_pixels, eye.panels)))))
+        while len(self._plans) > most:
             self._plans.popitem(last=False)
         return plan
+
+    def _numbers(self, count: int) -> Any:
+        """0, 1, ... ``count`` - 1 on the device, kept for the counts that were asked for last."""
+        if count not in self._arange:
+            if len(self._arange) >= _PLANS:
+                self._arange.pop(next(iter(self._arange)))
+            numbers = dr.arange(mi.UInt32, count)
+            dr.make_opaque(numbers)
+            self._arange[count] = numbers
+        return self._arange[count]
 
     # Kernels --------------------------------------------------------------------------------------------------------
 
@@ -161,12 +184,16 @@ class Polar:
     # Frames ---------------------------------------------------------------------------------------------------------
 
     def _resolved(self, plan: _Plan, eye: Eye, buffer: Any) -> dict[str, Any]:
-        """Flat H * W * 4 of every panel."""
+        """Flat H * W * 4 of every panel, in memory that the next frame takes again."""
         found = {}
-        for panel, state in zip(eye.panels, plan.panels, strict=True):
-            found[panel.name] = self._resolve_kernel(
-                _pixels(panel), plan.polar, state, _lanes(panel), buffer, _zeros(_pixels(panel) * 4)
+        for panel, places in zip(eye.panels, plan.places, strict=True):
+            key, n = (panel.name, panel.size_px), _pixels(panel)
+            picture = self._pictures.pop(key) if key in self._pictures else _zeros(4 * n)
+            found[panel.name] = self._pictures[key] = self._resolve_kernel(
+                n, plan.polar, places, self._numbers(n), buffer, picture
             )
+        while len(self._pictures) > _PICTURES:
+            self._pictures.pop(next(iter(self._pictures)))
         return found
 
     def render(self, view: View) -> Frame:
@@ -202,7 +229,7 @@ class Polar:
                         for panel, where in zip(eye.panels, plan.panels, strict=True):
                             n = _pixels(panel)
                             cameras[panel.name] = self._capture_kernel(
-                                n, room, where, plan.eye, _lanes(panel), _zeros(n * 4)
+                                n, room, where, plan.eye, self._numbers(n), _zeros(n * 4)
                             )
         panels = [panel for eye in eyes for panel in eye.panels]
         over = {p.name: _picture(pictures[p.name], p) for p in panels}
@@ -239,12 +266,6 @@ class Polar:
 
 def _pixels(panel: Panel) -> int:
     return panel.size_px[0] * panel.size_px[1]
-
-
-def _lanes(panel: Panel) -> Any:
-    lanes = dr.arange(mi.UInt32, _pixels(panel))
-    dr.make_opaque(lanes)
-    return lanes
 
 
 def _zeros(size: int) -> Any:

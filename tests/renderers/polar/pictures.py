@@ -12,7 +12,7 @@ from renderers.clip_frames import view_at
 from renderers.frozen import opaque_float
 from renderers.polar.panels import Eye, Panel, eyes_of
 from renderers.polar.polar_map import RadialMap, buffer_size, direction, farthest_deg, gaze_basis
-from renderers.polar.resolve import panel_state, polar_state, resolve
+from renderers.polar.resolve import look_up, panel_state, polar_state, resolve
 from renderers.technique import View
 from stimuli.scene import StillCamera
 
@@ -63,7 +63,10 @@ def through_buffer(
         width, height = panel.size_px
         empty = dr.zeros(mi.Float, width * height * 4)
         dr.make_opaque(empty)
-        found = resolve(polar, panel_state(panel), dr.arange(mi.UInt32, width * height), buffer, empty)
+        pixel, marks = dr.arange(mi.UInt32, width * height), mi.UInt32(np.zeros(size[0] * size[1], np.uint32))
+        places = mi.UInt32(np.zeros(2 * width * height, np.uint32))
+        _, places = look_up(polar, panel_state(panel), pixel, marks, places)
+        found = resolve(polar, places, pixel, buffer, empty)
         out.append(found.numpy().reshape(height, width, 4)[..., 0])
     return out
 
