@@ -22,10 +22,8 @@ import json
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -33,22 +31,17 @@ import numpy as np
 import pyrender
 from PIL import Image
 
-from renderers import shading, whitted
+from renderers import Tracer
 from renderers.backend import activate, dr, mi
-from renderers.camera import Ray
-from renderers.clip_frames import view_at
-from renderers.engine import Engine, EngineState
 from renderers.mitsuba_scene import mitsuba_scene
-from renderers.parameters import Reference
-from renderers.reference import ReferenceRenderer
 from renderers.requirements import MIRROR_LEAST, base_rgba, texture_image
 from renderers.space import TracerSpace, tracer_space
 from renderers.textures import decode_srgb, rgba8
 from stimuli import load_scene
 from stimuli.errors import InputError, problem
 from stimuli.scene import RGB, Light, Material, Part, Phong, Primitive, Scene
-from tests.prove.engine_oracles import FILES, SIZE_PX
-from tests.renderers.mitsuba_oracle import block_means, z_of_means
+from tests.prove.engine_oracles import FILES, SIZE_PX, pixel_rays
+from tests.renderers.mitsuba_oracle import block_means, our_means, z_of_means
 
 RUNS, SPP, OUR_SPP = 64, 16, 4
 DIM = 1e-6
@@ -113,7 +106,10 @@ def with_mirrors(scene: Scene) -> Scene:
 
 
 def point_lights(scene: Scene, time_s: float) -> tuple[Light, ...]:
-    """The scene's lights as point lights that fall off with the square and light a wall 0.35 radii away to about 1."""
+    """The scene's lights as point lights that fall off with the square and light a wall 0.35 radii away to about 1.
+
+    Where none of them reaches what the camera sees (the sky of robots hides its sun), one beside the camera.
+    """
     strength = np.pi * (0.35 * tracer_space(scene).radius) ** 2
     lights = []
     for light in scene.lights:
@@ -121,7 +117,16 @@ def point_lights(scene: Scene, time_s: float) -> tuple[Light, ...]:
         place = matrix[:3, :3] @ np.asarray(light.position) + matrix[:3, 3]
         color = np.asarray(light.intensity) / max(light.intensity) * strength / len(scene.lights)
         lights.append(Light("point", _rgb(color), _rgb(place), name=light.name))
-    return tuple(lights)
+    tracer = Tracer(scene)
+    seen = tracer.trace(*pixel_rays(scene, time_s, (32, 18)), time_s)
+    starts = (seen.point + 1e-3 * tracer.space.radius * seen.geometric_normal)[np.isfinite(seen.t)]
+    for light in lights:
+        away = np.asarray(light.position) - starts
+        if (tracer.trace(starts, away, time_s).t > np.linalg.norm(away, axis=1)).any():
+            return tuple(lights)
+    pose = scene.camera.pose(np.array([time_s]))[0]
+    radius = tracer.space.radius
+    return (Light("point", ((0.1 * radius) ** 2,) * 3, _rgb(pose[:3, 3] + 0.1 * radius * pose[:3, 1])),)
 
 
 def area_light(scene: Scene, time_s: float) -> Light:
@@ -187,66 +192,6 @@ def their_means(subject: Scene, space: TracerSpace, time_s: float, integrator: s
     return means
 
 
-# Our side -------------------------------------------------------------------------------------------------------------
-
-
-class Narrow(Engine):
-    """An engine whose camera rays have cones ``cone`` pixels wide (0: textures are looked up at level 0)."""
-
-    cone = 0.0
-
-    def camera_ray(self, state: EngineState, x_px: Any, y_px: Any, time_s: Any = 0.0) -> Ray:
-        """The ray of `Engine.camera_ray` with the narrow cone; the technique narrows it by its samples a pixel."""
-        ray = super().camera_ray(state, x_px, y_px, time_s)
-        spread = ray.spread * (self.cone * OUR_SPP**0.5) if self.cone else mi.Float(0)
-        return Ray(ray.o, ray.d, mi.Float(0), spread)
-
-
-@contextmanager
-def mitsubas_starts(engine: Engine) -> Iterator[None]:
-    """Secondary rays start where Mitsuba's `offset_p` and `spawn_ray_to` start them, and end where those end."""
-    shifted: list[Any] = []
-    ray_epsilon, shadow_epsilon = float(mi.math.RayEpsilon), float(mi.math.ShadowEpsilon)
-    plain_start, plain_occluded = shading.start_point, engine.tracer.occluded
-
-    def start_point(surface: Any, side: Any) -> Any:
-        p = surface.point
-        size = 1 + dr.maximum(dr.abs(p.x), dr.maximum(dr.abs(p.y), dr.abs(p.z)))
-        shift = mi.Vector3f(side) * (size * ray_epsilon)
-        shifted.append(shift)  # kept: freeing one while another recording is made aborts
-        return p + shift
-
-    def occluded(
-        arrays: Any, poses: Any, o: Any, d: Any, time_s: Any, active: Any, tmax: Any, coherent: bool = False
-    ) -> Any:
-        away = (o - shifted[-1]) + d * tmax - o  # towards the light from the new start
-        length = dr.norm(away)
-        end = length * (1 - shadow_epsilon)
-        return plain_occluded(arrays, poses, o, away / length, time_s, active, end, coherent)
-
-    shading.start_point = whitted.start_point = start_point  # type: ignore[assignment]
-    engine.tracer.occluded = occluded  # type: ignore[method-assign]
-    try:
-        yield
-    finally:
-        shading.start_point = whitted.start_point = plain_start  # type: ignore[assignment]
-        engine.tracer.occluded = plain_occluded  # type: ignore[method-assign]
-
-
-def our_means(subject: Scene, time_s: float, form: str, runs: int) -> np.ndarray:
-    """(runs, rows, columns) block means of the technique `reference` in one of `FORMS`."""
-    engine = Narrow(subject)
-    engine.cone = 1 / 32 if form == "cones" else 0.0
-    renderer = ReferenceRenderer(engine, SIZE_PX, Reference(spp=OUR_SPP), 0, "total")
-    view = view_at(0, Fraction(240), Fraction(time_s), SIZE_PX, subject.camera)
-    means = []
-    with nullcontext() if form == "as it is" else mitsubas_starts(engine):
-        for seed in range(runs):
-            renderer.reset(seed)
-            means.append(block_means(renderer.render(view).color))
-    return np.array(means)
-
-
 # The comparison -------------------------------------------------------------------------------------------------------
 
 
@@ -300,7 +245,9 @@ def compare(case: Case, time_s: float, where: Path) -> dict[str, Any]:
     theirs = their_means(case.scene, tracer_space(case.scene), time_s, case.integrator, case.runs)
     found: dict[str, Any] = {"lit_blocks": float((theirs.mean(axis=0) > 0).mean()), "samples": case.runs * SPP}
     for form in case.forms:
-        ours = our_means(case.scene, time_s, form, case.runs)
+        ours = our_means(
+            case.scene, SIZE_PX, time_s, OUR_SPP, case.runs, 1 / 32 if form == CONES else 0.0, form != AS_IT_IS
+        )
         found[form] = agreement(ours, theirs)
         name = f"{where}_{case.name}_{form}".replace(", ", "_").replace(" ", "_").replace("'", "")
         z = z_of_means(ours, theirs, ROUNDING)
