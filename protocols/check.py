@@ -12,12 +12,12 @@ from protocols.adaptive import procedure
 from protocols.blocks import WORD_KINDS, Block
 from protocols.design import column, plan
 from protocols.gaze_demands import SAME_SAMPLES, BelowFullRate, below_full_rate
+from protocols.names import Problem
 from protocols.requests import ClipSpec, clip_specs
 from protocols.session_size import size_of_block
 from protocols.study import Study
 from protocols.trial import Trial
 from stimuli.clip_request import CHANNEL_BYTES
-from stimuli.errors import problem
 
 WORDS_S = 15.0  # a screen of words is read for about this long
 EXR_BYTES_PER_PX = 6.0  # half-float RGB, before compression
@@ -211,9 +211,10 @@ def _notes(study: Study, clips: Sequence[ClipSpec]) -> Iterable[str]:
         yield f"a proposal, not a replication: {study.replication.of}"
 
 
-def size_problems(study: Study) -> list[str]:
-    """Trials whose panels do not fit on the display, one line for each block."""
-    found: dict[str, str] = {}
+def size_problems(study: Study) -> list[Problem]:
+    """Trials whose panels do not fit on the display, one for each block."""
+    found: dict[str, Problem] = {}
+    places = {block.name: index for index, block in enumerate(study.blocks)}
     width, height = study.display.size_px
     for trial in plan(study, 1):
         if not trial.panels:
@@ -225,5 +226,6 @@ def size_problems(study: Study) -> list[str]:
         need = (w * across + gap * (across - 1), h * down + gap * (down - 1))
         if need[0] > width or need[1] > height:
             wanted = f"at most {width}x{height} px (display.size_px)"
-            found[trial.block] = problem(f"block {trial.block}", "panels", f"{need[0]}x{need[1]} px", wanted)
+            what = f"block {trial.block}: panels"
+            found[trial.block] = ("blocks", places[trial.block]), what, f"{need[0]}x{need[1]} px", wanted
     return list(found.values())

@@ -6,7 +6,7 @@ import difflib
 import json
 import types
 import typing
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Union, get_args, get_origin
 
@@ -15,6 +15,7 @@ from pydantic_core import ErrorDetails
 
 from protocols.gaze_demands import gaze_problems
 from protocols.match_lock import SUFFIX, read_lock, with_lock
+from protocols.names import Problem
 from protocols.references import reference_problems
 from protocols.session_size import size_problems
 from protocols.study import Study
@@ -80,6 +81,17 @@ def read_unmatched(path: str | Path) -> tuple[Study, str]:
         raise InputError(*[problems[key] for key in sorted(problems)])
     assert study is not None
     return study, text
+
+
+def read_root(path: str | Path) -> Node:
+    """The file's root node as written, with what it extends; for whoever finds mistakes that loading does not look for.
+    InputError where it is no YAML."""
+    return _extended(library_path(path), 0, [])[0]
+
+
+def located(root: Node, found: Iterable[Problem]) -> list[str]:
+    """Problems as lines, each at its place in the file."""
+    return [problem(root.find(loc), what, got, wanted) for loc, what, got, wanted in found]
 
 
 def library_path(path: str | Path) -> Path:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import difflib
 import json
 import os
 from collections.abc import Iterator
@@ -12,7 +13,8 @@ from pathlib import Path
 
 from protocols.check import Summary, size_problems, summarise
 from protocols.gaze_demands import SAME_SAMPLES_OVERRIDE, same_samples_problems
-from protocols.load import library_path, load_study
+from protocols.load import library_path, load_study, located, read_root
+from protocols.names import Loc, Problem
 from protocols.study import Study
 from stimuli.errors import InputError, problem
 from stimuli.procedural import SCENES
@@ -36,21 +38,17 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Check and print; every problem at once."""
-    study = load_study(args.protocol)
-    problems = [*size_problems(study), *external_problems(study)]
-    notes: list[str] = []
+    missing, notes = missing_scenes(args.protocol)
+    try:
+        study = load_study(args.protocol)
+    except InputError as error:
+        raise InputError(*error.problems, *missing) from error
+    problems = located(read_root(args.protocol), [*size_problems(study), *external_problems(study)]) + missing
     alike, reason = same_samples_problems(study), named_reasons(args.override).get(SAME_SAMPLES_OVERRIDE)
     if reason is None:
         problems += alike
     else:
         notes += [f"overridden ({reason}): {line}" for line in alike]
-    for name, scene in study.scenes.items():
-        found = find_scene(scene.scene, library_path(args.protocol).parent)
-        if found is None and scene.instead is None:
-            wanted = "a procedural scene (" + " | ".join(SCENES) + ") or an existing file"
-            problems.append(problem(f"scene {name}", "source", repr(scene.scene), wanted))
-        elif found is None:
-            notes.append(f"scene {name}: {scene.scene} is not there, {scene.instead} stands in")
     if not problems:
         problems += _luminance(study, args)
     if problems:
@@ -92,36 +90,58 @@ def find_scene(source: str, beside: Path) -> Path | str | None:
     (anywhere below) $STUDYAPP_ASSETS; None where it is nowhere."""
     if not source.endswith(SCENE_SUFFIXES):
         return source if source in SCENES else None
-    for folder in (beside, Path.cwd()):
-        if (folder / source).is_file():
-            return folder / source
-    assets = os.environ.get("STUDYAPP_ASSETS")
-    if assets:
-        found = sorted(Path(assets).rglob(Path(source).name))
-        return found[0] if found else None
-    return None
+    try:
+        for folder in (beside, Path.cwd()):
+            if (folder / source).is_file():
+                return folder / source
+        assets = os.environ.get("STUDYAPP_ASSETS")
+        found = sorted(Path(assets).rglob(Path(source).name)) if assets else []
+    except (OSError, ValueError):  # a name that the file system does not take
+        return None
+    return found[0] if found else None
 
 
-def external_problems(study: Study) -> Iterator[str]:
+def missing_scenes(protocol: str) -> tuple[list[str], list[str]]:
+    """Scenes that are nowhere, a line each at its place; and notes on those for which another stands in. From the file
+    as written, so that they are found beside other mistakes."""
+    root, beside = read_root(protocol), library_path(protocol).parent
+    problems: list[Problem] = []
+    notes: list[str] = []
+    _, scenes = (root.entries or {}).get("scenes", (root.mark, root))
+    for name, (_, node) in (scenes.entries or {}).items() if scenes is not root else ():
+        said = node.plain() if node.entries is not None else {"scene": node.scalar}
+        source, instead = said.get("scene"), said.get("instead")
+        if not isinstance(source, str) or find_scene(source, beside) is not None:
+            continue  # what is no name is told by the loader
+        if instead is None:
+            near = difflib.get_close_matches(source[:64], list(SCENES), n=1)
+            wanted = (f"{near[0]!r} (did you mean that?), " if near else "") + "a procedural scene ("
+            wanted += " | ".join(SCENES) + ") or an existing file"
+            problems.append((("scenes", name, "scene"), f"scenes.{name}", repr(source), wanted))
+        else:
+            notes.append(f"scene {name}: {source} is not there, {instead} stands in")
+    return located(root, problems), notes
+
+
+def external_problems(study: Study) -> Iterator[Problem]:
     """Techniques named ``module:Class`` that cannot be imported, or whose parameters are refused by their own model."""
     for name, condition in study.conditions.items():
         if not condition.external or condition.technique.startswith("imported:"):
             continue
+        loc: Loc = ("conditions", name)
         module, _, attribute = condition.technique.partition(":")
         try:
             technique = getattr(import_module(module), attribute)
         except (ImportError, AttributeError) as error:
             said = str(error) or type(error).__name__
-            yield problem(
-                f"condition {name}", "technique", repr(condition.technique), f"an importable module:Class ({said})"
-            )
+            wanted = f"an importable module:Class ({said})"
+            yield (*loc, "technique"), f"conditions.{name}.technique", repr(condition.technique), wanted
             continue
         try:
             technique.Params.model_validate(condition.params)
         except (ValueError, AttributeError) as error:
-            yield problem(
-                f"condition {name}", "params", json.dumps(condition.params), " ".join(str(error).split())[:200]
-            )
+            wanted = " ".join(str(error).split())[:200]
+            yield (*loc, "params"), f"conditions.{name}.params", json.dumps(condition.params), wanted
 
 
 def _lines(summary: Summary) -> Iterator[str]:

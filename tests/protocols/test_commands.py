@@ -49,8 +49,19 @@ def test_missing_assets_and_modules_are_named(protocol: Path, capsys: pytest.Cap
     protocol.write_text(text)
     assert main(["check", str(protocol)]) == 2
     err = capsys.readouterr().err
-    assert "scene b: source: got 'nowhere.glb', wanted a procedural scene" in err
-    assert "condition full: technique: got 'no_such_module:Thing', wanted an importable module:Class" in err
+    assert "tiny.yaml:2:26: scenes.b: got 'nowhere.glb', wanted a procedural scene" in err
+    assert "tiny.yaml:5:3: conditions.full.technique: got 'no_such_module:Thing', wanted an importable" in err
+    # Beside mistakes that the loader finds, and with the nearest name.
+    protocol.write_text(TEXT.replace("b: bar", "b: bra").replace("full: vanilla", "full: vanila"))
+    assert main(["check", str(protocol)]) == 2
+    err = capsys.readouterr().err
+    assert "tiny.yaml:2:26: scenes.b: got 'bra', wanted 'bar' (did you mean that?)" in err
+    assert "tiny.yaml:5:3: conditions.full.technique: got 'vanila'" in err
+    # Names that no file system takes are not there either.
+    for name in ("x" * 290 + ".glb", "'**.glb'", "'a/../b.obj'"):
+        protocol.write_text(TEXT.replace("b: bar", f"b: {name}"))
+        assert main(["check", str(protocol)]) == 2
+        assert "scenes.b: got" in capsys.readouterr().err
 
 
 def test_a_stand_in_is_said(protocol: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -88,6 +88,6 @@ def test_two_intervals_take_twice_as_long() -> None:
 def test_panels_that_do_not_fit_on_the_display_are_named() -> None:
     assert size_problems(tiny()) == []
     study = tiny(display={"size_px": [1500, 1080]})
-    assert size_problems(study) == [
-        "block pairs: panels: got 1568x512 px, wanted at most 1500x1080 px (display.size_px)"
-    ]
+    ((loc, *said),) = size_problems(study)
+    assert loc == ("blocks", 0)
+    assert said == ["block pairs: panels", "1568x512 px", "at most 1500x1080 px (display.size_px)"]
