@@ -13,14 +13,14 @@ import numpy as np
 
 from renderers.backend import dr, mi
 from renderers.engine import Engine, EngineState
-from renderers.frozen import frozen
+from renderers.frozen import frozen, opaque_uint
 from renderers.image import bilinear, fetch, from_ycocg, longest, mean_and_deviation, rgb, store, to_ycocg
 from renderers.parameters import Checkerboard as CheckerboardParameters
 from renderers.pixels import pixel_centres, tile_order
 from renderers.rng import combined
 from renderers.stopwatch import Stopwatch
 from renderers.technique import Frame, Measure, View
-from renderers.vanilla import frame_seed, ray_counts
+from renderers.vanilla import finished_frame, frame_seed
 from stimuli.errors import InputError, problem
 
 _NEIGHBOURS = ((0, -1), (-1, 0), (1, 0), (0, 1))
@@ -80,6 +80,7 @@ class Checkerboard:
         # the two halves have their own kernels: an odd picture's differ by a pixel, and may be of width 1 and 0
         self._trace_kernels = (frozen(self._trace), frozen(self._trace))
         self._fill_kernel = frozen(fill)
+        self._none = opaque_uint(0)
         self.reset(seed)
 
     def reset(self, seed: int) -> None:
@@ -111,7 +112,7 @@ class Checkerboard:
         phase = self._frame % 2
         count, *lanes = self._lanes[phase]
         rays: dict[str, Any] = {}
-        clamped = 0
+        clamped = self._none
         with self._watch.frame():
             with self._watch.stage("state"):
                 state = self.engine.state(view, self.size_px)
@@ -119,21 +120,14 @@ class Checkerboard:
             with self._watch.stage("trace"):
                 traced = self._trace_kernels[phase](count, state, *lanes, seed, self._current, self._motion)
                 if traced is not None:
-                    self._current, self._motion, rays, wrong = traced
-                    clamped = int(np.sum(wrong.numpy()))
+                    self._current, self._motion, rays, clamped = traced
             with self._watch.stage("fill"):
                 self._picture = self._fill_kernel(
                     width * height, width, height, self.params.box_sigmas, self._frame > 0, mi.UInt32([phase]),
                     self._current, self._motion, self._picture,
                 )  # fmt: skip
         self._frame += 1
-        return Frame(
-            color=self._picture.numpy().reshape(height, width, 4)[..., :3],
-            rays=ray_counts(count, rays),
-            seconds=dict(self._watch.seconds),
-            time_s=float(view.index * (view.t1 - view.t0)),
-            clamped=clamped,
-        )
+        return finished_frame(view, self.size_px, self._picture, count, rays, clamped, self._watch)
 
     def show(self, view: View) -> dict[str, np.ndarray]:
         """Debug pictures of the last frame, (H, W) each: ``sampled`` (1 where this refresh traced the pixel)."""

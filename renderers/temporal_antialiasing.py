@@ -16,7 +16,7 @@ from renderers.rng import combined
 from renderers.stopwatch import Stopwatch
 from renderers.taa_resolve import HALTON_8, resolve
 from renderers.technique import Frame, Measure, View
-from renderers.vanilla import delayed, frame_lanes, frame_seed, ray_counts
+from renderers.vanilla import delayed, finished_frame, frame_lanes, frame_seed
 
 
 class TemporalAntialiasing:
@@ -84,10 +84,4 @@ class TemporalAntialiasing:
                     self._motion, history, alpha,
                 )  # fmt: skip
         self._frame += 1
-        return Frame(
-            color=self._history.numpy().reshape(height, width, 4)[..., :3],
-            rays=ray_counts(width * height, rays),
-            seconds=dict(self._watch.seconds),
-            time_s=float(view.index * (view.t1 - view.t0)),
-            clamped=int(dr.sum(clamped)[0]),
-        )
+        return finished_frame(view, self.size_px, self._history, width * height, rays, clamped, self._watch)

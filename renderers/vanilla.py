@@ -48,6 +48,34 @@ def ray_counts(primary: int, rays: dict[str, Any]) -> LazyCounts:
     return LazyCounts({"primary": primary, **{kind: _lazy_sum(lanes) for kind, lanes in rays.items()}})
 
 
+def finished_frame(
+    view: View,
+    size_px: tuple[int, int],
+    picture: Any,
+    primary: int,
+    rays: dict[str, Any],
+    clamped: Any,
+    watch: Stopwatch,
+) -> Frame:
+    """The frame of ``view`` on the host, once ``watch`` has stopped.
+
+    Args:
+        picture: Float, H * W * 3, or H * W * 4 whose fourth channel is the technique's own.
+        primary: primary rays of this frame.
+        rays: UInt32 lanes of the other kinds' counters.
+        clamped: UInt32 lanes, 1 where shading's end clamped a value; summed here, as a sum on the device would be a
+            kernel of its own.
+    """
+    width, height = size_px
+    return Frame(
+        color=picture.numpy().reshape(height, width, -1)[..., :3],
+        rays=ray_counts(primary, rays),
+        seconds=dict(watch.seconds),
+        time_s=float(view.index * (view.t1 - view.t0)),
+        clamped=int(np.sum(clamped.numpy(), dtype=np.int64)),
+    )
+
+
 def _lazy_sum(lanes: Any) -> Any:
     return lambda: int(np.asarray(lanes.numpy(), np.int64).sum())
 
@@ -98,10 +126,4 @@ class Vanilla:
                 rays, clamped, self._buffer = self._kernel(
                     width * height, state, self._pixel, self._x, self._y, seed, self._buffer
                 )
-        return Frame(
-            color=self._buffer.numpy().reshape(height, width, 3),
-            rays=ray_counts(width * height, rays),
-            seconds=dict(self._watch.seconds),
-            time_s=float(view.index * (view.t1 - view.t0)),
-            clamped=int(dr.sum(clamped)[0]),
-        )
+        return finished_frame(view, self.size_px, self._buffer, width * height, rays, clamped, self._watch)

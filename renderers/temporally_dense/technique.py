@@ -22,7 +22,7 @@ from renderers.stopwatch import Stopwatch
 from renderers.technique import Frame, Measure, View
 from renderers.temporally_dense.compose import STATIC_PX, Settings, compose
 from renderers.temporally_dense.pixel_order import STATIC_JITTER, coin_flip, decide, pixel_in_tile
-from renderers.vanilla import frame_seed, ray_counts
+from renderers.vanilla import finished_frame, frame_seed
 from stimuli.errors import InputError, problem
 
 
@@ -119,7 +119,6 @@ class TemporallyDense:
 
     def render(self, view: View) -> Frame:
         """This refresh: a quarter of the pixels traced at t1, the whole picture composed."""
-        width, height = self.size_px
         if view.cut:
             self._frame = 0
         n = self._frame
@@ -146,13 +145,7 @@ class TemporallyDense:
                         self.tiles, mx, my, opaque_uint(n // 4), opaque_uint(self._seed % (1 << 32))
                     )
         self._frame += 1
-        return Frame(
-            color=self._picture.numpy().reshape(height, width, 4)[..., :3],
-            rays=ray_counts(self.tiles, rays),
-            seconds=dict(self._watch.seconds),
-            time_s=float(view.index * (view.t1 - view.t0)),
-            clamped=int(np.sum(clamped.numpy(), dtype=np.int64)),  # a reduction on the device would be a third kernel
-        )
+        return finished_frame(view, self.size_px, self._picture, self.tiles, rays, clamped, self._watch)
 
     def show(self, view: View) -> dict[str, np.ndarray]:
         """Debug pictures of the last frame, (H, W) each: ``segmentation`` (1 hourglass, 0 bowtie; Fig. 9), ``class``
