@@ -1,5 +1,8 @@
 """Soak of the presenter: three streamed 256x256 panels for a minute, forty stalls of 5 to 30 ms at seeded times.
 
+Beside it stands what the machine itself takes: the refreshes that a loop loses at the same rate and priority which does
+nothing but wait, and the time that a virtual machine's host kept the processors for itself ('steal').
+
 On the headless compositor (announced 260; not locked, so the override `display_lock` is used and stands in the
 result) and on the off-screen display at exactly 240 Hz. Each stall must be found at its refresh with its count, and
 no more than 0.1 % of the refreshes may be lost beside them.
@@ -11,7 +14,9 @@ evidence/presenter_soak.json.
 from __future__ import annotations
 
 import argparse
+import gc
 import json
+import os
 import subprocess
 import sys
 import time
@@ -26,6 +31,8 @@ from protocols.trial import Panel, Trial
 from studyapp.clock import now_ns
 from studyapp.display.certificate import LOCK_OVERRIDE, certify, require_lock
 from studyapp.display.choose import open_display
+from studyapp.display.offscreen_display import SPIN_NS
+from studyapp.display.vblank import grid_time_ns, wait_until
 from studyapp.present.bench import StreamedClip
 from studyapp.present.frame_loop import ask_realtime
 from studyapp.present.presenter import KeptFlips, Presenter
@@ -126,6 +133,29 @@ def soak(display: Display, seconds: float, stalls: int, seed: int) -> dict[str, 
     }
 
 
+def bare_loop(seconds: float, rate_hz: int = 240) -> dict[str, float]:
+    """What is lost to the machine: refreshes that go by while a loop waits for the next as `OffscreenDisplay` does."""
+    start_ns, index, lost, worst_ns = now_ns(), 0, 0, 0
+    gc.disable()
+    while index < seconds * rate_hz:
+        index += 1
+        due_ns = grid_time_ns(start_ns, index, Fraction(rate_hz))
+        late_ns = wait_until(due_ns, now_ns, time.sleep, SPIN_NS) - due_ns
+        gone = late_ns * rate_hz // 1_000_000_000
+        index, lost, worst_ns = index + gone, lost + gone, max(worst_ns, late_ns)
+    gc.enable()
+    return {"bare_seconds": seconds, "bare_lost_share": lost / index, "bare_worst_ms": worst_ns * 1e-6}
+
+
+def steal_s() -> float:
+    """Seconds, of all processors together, that the host kept; 0 where the system does not tell."""
+    try:
+        words = Path("/proc/stat").read_text(encoding="ascii").split("\n", 1)[0].split()
+    except OSError:
+        return 0.0
+    return int(words[8]) / os.sysconf("SC_CLK_TCK")
+
+
 def _sources_right(rows: np.ndarray) -> bool:
     """Every panel's frame is the one the refresh index asks for (time-true), until the clip's end."""
     rows = rows[:-1]
@@ -161,7 +191,10 @@ def main(arguments: list[str] | None = None) -> int:
     results: dict[str, Any] = {}
     if args.only != "sway":
         display = open_display("offscreen", (800, 300), 240)
+        stolen_s = steal_s()
         results["offscreen"] = {**soak(display, args.seconds, args.stalls, args.seed), "priority": priority}
+        results["offscreen"]["steal_s"] = steal_s() - stolen_s
+        results["offscreen"].update(bare_loop(args.seconds))
         display.close()
     if args.only != "offscreen":
         results["sway"] = on_compositor(args.seconds, args.stalls, args.seed)
