@@ -31,6 +31,20 @@ def match_checks(sessions: Sequence[Session]) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=COLUMNS)
 
 
+def unmatched_comparisons(sessions: Sequence[Session]) -> list[tuple[str, list[str]]]:
+    """(block, its conditions that no ``match`` makes equal) for each block that compared pictures with each other."""
+    stated = sessions[0].header.get("match") or protocol_of(sessions[0]).get("match") or []
+    equal = {str(name) for match in stated if isinstance(match, Mapping) for name in match.get("conditions") or ()}
+    found: dict[str, dict[str, None]] = {}
+    for session in sessions:
+        for trial in session.header.get("plan") or []:
+            compared = [p for p in trial.get("panels", ()) if p.get("role") == "candidate"]
+            if len(compared) > 1 and not trial.get("practice"):
+                loose = {str(p["condition"]): None for p in compared if str(p["condition"]) not in equal}
+                found.setdefault(str(trial["block"]), {}).update(loose)
+    return [(block, list(conditions)) for block, conditions in found.items() if conditions]
+
+
 def _shown_clips(sessions: Sequence[Session]) -> dict[tuple[str, str], tuple[Mapping[str, Any], float]]:
     """(condition, scene) -> the cost of its first clip, and the rate it is shown at in Hz (nan: not stated)."""
     found: dict[tuple[str, str], tuple[Mapping[str, Any], float]] = {}

@@ -22,7 +22,7 @@ from analysis.comparisons import with_winner
 from analysis.exclusions import Exclusions, apply_exclusions, exclusion_lock, rules_of
 from analysis.gaze import gaze_report
 from analysis.manipulation import luminance_differences, manipulation_checks
-from analysis.matching import match_checks
+from analysis.matching import match_checks, unmatched_comparisons
 from analysis.observers import circular_triads
 from analysis.plan import plan_of, run_plan, with_scenes
 from analysis.plots import draw
@@ -72,7 +72,8 @@ def analyse(
         preference = preference_section(kept, checks)
         ratings = likert_section(kept, sessions) if len(kept) else None
         found = [preference, ratings, sections.plan_section(results, plan, kept, registered) if len(kept) else None]
-        found += [sections.manipulation_section(checks, luminance_differences(sessions), match_checks(sessions))]
+        shown = checks, luminance_differences(sessions), match_checks(sessions)
+        found += [sections.manipulation_section(*shown, unmatched=unmatched_comparisons(sessions))]
         found += [sections.quality_section(response_effects(kept, sessions), _triads(kept), exclusions.table)]
     onset = onset_statement(sessions)
     first = sections.participants_section(exclusions, sessions)

@@ -70,9 +70,14 @@ def timing_section(timing: Timing, onset: str, sessions: Sequence[Session]) -> d
 
 
 def manipulation_section(
-    checks: pd.DataFrame, differences: pd.DataFrame, matches: pd.DataFrame, limit: float = 0.01
+    checks: pd.DataFrame,
+    differences: pd.DataFrame,
+    matches: pd.DataFrame,
+    limit: float = 0.01,
+    unmatched: Sequence[tuple[str, list[str]]] = (),
 ) -> dict[str, Any]:
-    """What each condition really was: light, rate, misses, gaze, cost; and whether what was to be equal is."""
+    """What each condition really was: light, rate, misses, gaze, cost; and whether what was to be equal is.
+    ``unmatched``: blocks whose comparison nothing was to make equal, and the conditions concerned."""
     blocks = [table_block("manipulation", "Conditions as shown", checks, shown.MANIPULATION)]
     far = differences[differences["difference"].abs() > limit] if len(differences) else differences
     if len(far):
@@ -89,6 +94,10 @@ def manipulation_section(
         ]
         if off:
             blocks.append(words_block("Not equal within the stated tolerance:", *off, kind="warning"))
+    if unmatched:
+        lines = [f"block {block}: {', '.join(conditions)}" for block, conditions in unmatched]
+        said = "Unmatched comparison: nothing says that these conditions are equal in cost or in quality."
+        blocks.append(words_block(said, *lines))
     return section("manipulation", "Manipulation checks", blocks, blind=True)
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 import analysis
-from analysis.matching import match_checks, measured
+from analysis.matching import match_checks, measured, unmatched_comparisons
 from analysis.report import analyse
 from analysis.sessions import read_sessions
 from tests.analysis.fabricate import cost_s, demo_study
@@ -75,3 +75,16 @@ def test_measures_of_a_cost_file() -> None:
     assert measured({"frames": frames}, "rays_per_s", 60) == 9_000
     assert measured({"frames": frames}, "ms_on_machine", 60) == 2.0
     assert measured({}, "rays_per_s", 60) != measured({}, "rays_per_s", 60)
+
+
+def test_a_comparison_that_nothing_makes_equal_is_labelled(tmp_path: Path) -> None:
+    demo_study(tmp_path, participants=2)
+    said = [" ".join(b.get("paragraphs", ())) for b in blocks(analyse([tmp_path]), "manipulation")]
+    (label,) = [text for text in said if text.startswith("Unmatched comparison")]
+    for condition in ("tdrt_240", "vanilla_60", "taa_240"):
+        assert condition in label
+    # What a match names is not called so, whether it was reached or not.
+    header = {"protocol_text": PROTOCOL}
+    demo_study(tmp_path / "matched", participants=2, header=header)
+    loose = dict(unmatched_comparisons(read_sessions([tmp_path / "matched"])))
+    assert not {"tdrt_240", "vanilla_60", "taa_240"} & {name for names in loose.values() for name in names}
