@@ -199,7 +199,8 @@ class Polar:
     def render(self, view: View) -> Frame:
         """The pictures at t1."""
         counts: list[Mapping[str, Any]] = []
-        clamped, primary = 0, 0
+        wrong: list[Any] = []
+        primary = 0
         pictures: dict[str, Any] = {}
         cameras: dict[str, Any] = {}
         eyes = eyes_of(view, self.size_px)
@@ -216,12 +217,12 @@ class Polar:
                 with self._watch.stage("trace"):
                     lanes = len(plan.texels)
                     buffer = _zeros(plan.size[0] * plan.size[1] * 4)
-                    buffer, rays, wrong = self._trace_kernel(
+                    buffer, rays, clamped = self._trace_kernel(
                         lanes, samples, state, room, captured, plan.polar, plan.panels[0], plan.eye, plan.texels, buffer
                     )
                     counts.append(rays)
                     primary += lanes
-                    clamped += int(dr.sum(wrong)[0])
+                    wrong.append(clamped)  # summed after the frame: the device need not wait for the host in between
                 with self._watch.stage("resolve"):
                     pictures |= self._resolved(plan, eye, buffer)
                 if room is not None:
@@ -243,7 +244,7 @@ class Polar:
             rays=_counts(primary, counts),
             seconds=dict(self._watch.seconds),
             time_s=float(view.index * (view.t1 - view.t0)),
-            clamped=clamped,
+            clamped=sum(int(dr.sum(clamped)[0]) for clamped in wrong),
             alpha=alpha,
             channels=channels,
             viewports={name: a for name, a in color.items() if name != MAIN},
