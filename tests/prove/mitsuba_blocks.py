@@ -276,7 +276,7 @@ def compare(case: Case, time_s: float, where: Path) -> dict[str, Any]:
 
 
 def main(names: list[str]) -> int:
-    """Every case of the scenes ``names`` (all); 1 where one of 1,024 samples agrees in fewer than `ASKED` of its blocks.
+    """Every case of the scenes ``names`` (all); 1 where one of 1,024 samples agrees in too few blocks (`ASKED`).
 
     The form that has most in common with Mitsuba counts, the last but for ``cones``; the others say what is left out.
     """
