@@ -61,6 +61,7 @@ def _line(clip: Clip) -> str:
     return (
         f"{clip.identity[:12]}  {request.scene:<12} {request.technique:<22} {size:>9} {request.rate_hz:>7} Hz "
         f"{clip.frame_count:>5} frames {clip.byte_count / 1e6:>9.1f} MB  {clip.manifest['provenance']}"
+        + (f" with {' '.join(request.channels)}" if request.channels else "")
     )
 
 

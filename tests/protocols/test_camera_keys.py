@@ -5,12 +5,15 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import jsonschema
 import numpy as np
 import pytest
 
 from protocols.freeze import differences, registration
 from protocols.load import load_study, read_study
 from protocols.requests import clip_specs
+from protocols.schema import protocol_schema
+from protocols.yaml_source import read_yaml
 from renderers.clip_renderer import keyed_camera
 from stimuli import load_scene
 from stimuli.camera_path import read_camera_path
@@ -112,3 +115,15 @@ def test_an_extended_study_finds_the_path_beside_its_own_file(tmp_path: Path) ->
     (tmp_path / "base" / "walk.yaml").write_text("keys:\n" + KEYS)
     (tmp_path / "variant.yaml").write_text("extends: base/s.yaml\nseed: 4\n")
     assert len(load_study(tmp_path / "variant.yaml").paths["walk"].keys) == 3
+
+
+@pytest.mark.parametrize("form", ["file", "list", "table"])
+def test_the_schema_knows_every_form(form: str, tmp_path: Path) -> None:
+    listed = "\n  walk:\n" + KEYS
+    table = "\n  walk:\n    keys:\n" + KEYS.replace("  -", "      -")
+    paths = {"file": " {walk: walk.yaml}\n", "list": listed, "table": table}
+    data = read_yaml(study_with(tmp_path, "paths:" + paths[form])).plain()
+    validator = jsonschema.Draft202012Validator(protocol_schema())
+    validator.validate(data)
+    for wrong in (3, [], {"keys": [{"time_s": 0}]}, [{"time_s": 0, "position": [0, 0, 0], "look": [0, 0, 1]}]):
+        assert not validator.is_valid({**data, "paths": {"walk": wrong}})

@@ -135,6 +135,8 @@ def test_a_protocol_and_the_command_line_ask_for_channels(tmp_path, capsys) -> N
     assert main(["render", str(protocol)]) == 0
     store = ClipStore(tmp_path / ".clips")
     assert {tuple(clip.manifest["channels"]) for clip in store.published()} == {("B", "G", "R", "Z", "samples")}
+    assert main(["store", "ls", "--store", str(store.root)]) == 0
+    assert capsys.readouterr().out.count("rendered with Z samples") == 3
     # A condition of its own may have others; the flag asks for those of clips beside the protocol's own.
     protocol.write_text(STUDY.replace("half: checkerboard", "half: {technique: checkerboard, channels: [motion]}"))
     by_name = {spec.technique: spec.channels for spec in clip_specs(load_study(protocol))}
