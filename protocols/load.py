@@ -98,7 +98,14 @@ def library_path(path: str | Path) -> Path:
     """``path``, or the shipped protocol of that name where it has no suffix and no such file exists."""
     file = Path(path)
     shipped = LIBRARY / f"{file.name}.yaml"
-    return shipped if not file.suffix and not file.exists() and shipped.exists() else file
+    return shipped if not file.suffix and not _is_file(file) and _is_file(shipped) else file
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except OSError:  # a name that the file system does not take
+        return False
 
 
 def _with_path_files(root: Node, file: Path) -> str:
@@ -109,7 +116,7 @@ def _with_path_files(root: Node, file: Path) -> str:
         if not isinstance(node.scalar, str):
             continue
         keys = file.parent / node.scalar
-        if not keys.is_file():
+        if not _is_file(keys):
             wanted = "keys, or a file of keys (studyapp scene --record-path)"
             raise InputError(problem(node.mark, f"paths.{name}", f"{node.scalar!r}, which is not there", wanted))
         assert paths.entries is not None
@@ -131,11 +138,11 @@ def _extended(file: Path, depth: int, seen: list[Path]) -> tuple[Node, str]:
     if not isinstance(node.scalar, str):
         raise InputError(problem(node.mark, "extends", "no file name", "a protocol file beside this one"))
     wide = file.parent / node.scalar
-    if not wide.exists() and "/" not in node.scalar:
+    if not _is_file(wide) and "/" not in node.scalar:
         wide = LIBRARY / node.scalar
     if depth >= MAX_EXTENDS or wide.resolve() in [*seen, file.resolve()]:
         raise InputError(problem(key, "extends", node.scalar, f"at most {MAX_EXTENDS} files, none of them twice"))
-    if not wide.is_file():
+    if not _is_file(wide):
         raise InputError(
             problem(node.mark, "extends", f"{node.scalar!r}, which is not there", "an existing protocol file")
         )

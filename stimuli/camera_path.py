@@ -316,6 +316,10 @@ def _vector(entry: Any, key: str, count: int, where: str, problems: list[str]) -
 
 
 def _read_bytes(file: Path) -> bytes:
-    if not file.is_file():
+    try:
+        there = file.is_file()
+    except OSError:  # a name that the file system does not take
+        there = False
+    if not there:
         raise InputError(problem(file, "camera path", "no such file or name", f"a file, or {' | '.join(PATH_NAMES)}"))
     return file.read_bytes()

@@ -29,6 +29,13 @@ def load_scene(path_or_name: str | Path, animation: str | None = None) -> Scene:
     ``STEM_lights.json`` beside it are read. InputError, one line each, where it cannot be loaded.
     """
     path = Path(path_or_name)
+    try:
+        path.stat()
+    except FileNotFoundError:
+        pass
+    except OSError as error:
+        got = (error.strerror or "an error").lower()
+        raise InputError(problem(f"{str(path)[:60]}...", "scene", got, "a file that can be read")) from error
     if not path.is_file() and str(path_or_name) in SCENES:
         if animation is not None:
             raise InputError(

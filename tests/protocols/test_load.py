@@ -138,3 +138,13 @@ def test_sizes_are_read_at_every_level_of_the_cascade(tmp_path: Path) -> None:
         file.write_text(text.replace("[64, 48]", wrong))
         with pytest.raises(InputError, match=r"s.yaml:2:\d+: scenes.a.size_px"):
             load_study(file)
+
+
+@pytest.mark.parametrize("name", ["x" * 5000, "../" * 600 + "x", "''", ".", "a: b"])
+def test_names_that_no_file_has_are_named_in_one_line(name: str, tmp_path: Path) -> None:
+    for key in ("extends: NAME\n", "paths: {walk: NAME}\n"):
+        file = tmp_path / "s.yaml"
+        file.write_text(TEXT + key.replace("NAME", name))
+        with pytest.raises(InputError) as caught:
+            load_study(file)
+        assert any(f"s.yaml:{len(TEXT.splitlines()) + 1}:" in line for line in caught.value.problems)

@@ -223,6 +223,15 @@ def unbounded(folder: Path) -> None:
             load_scene(folder / "tiny.glb")
 
 
+def no_such_names(folder: Path) -> None:
+    """Names that no file has, or can have."""
+    for name in ("", "x" * 5000, "../" * 600 + "x.glb", str(folder)):
+        with pytest.raises(InputError):
+            load_scene(name)
+        with pytest.raises(InputError):
+            read_camera_path(Path(name), 1.0)
+
+
 def light_files(folder: Path) -> None:
     """Lights of 1e-30 and 1e30, and two in one place, are read as they are."""
     glb = TinyGlb()
@@ -250,5 +259,6 @@ TABLE: tuple[Extreme, ...] = (
     Extreme("empty scene", empty),
     Extreme("an hour of 8k at 1000 Hz", huge),
     Extreme("numbers that are not finite, lights without area", unbounded),
+    Extreme("names that no file has", no_such_names),
     Extreme("lights of 1e-30 and 1e30", light_files),
 )
