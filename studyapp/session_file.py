@@ -169,10 +169,12 @@ class SessionFile:
         self._chunks[(table, key)] = known + 1
         return known + 1
 
-    def seal(self) -> None:
-        """Store a checksum per table (header key ``checksums``) and the schema version, and commit."""
+    def seal(self, values: Mapping[str, Any] | None = None) -> None:
+        """Store a checksum per table (header key ``checksums``), the schema version and the last header ``values``, all
+        in one transaction: a file that says it is complete is sealed."""
         self.commit()
-        self.header({"schema_version": SCHEMA_VERSION, "checksums": table_checksums(self._db)})
+        sealed = {"schema_version": SCHEMA_VERSION, "checksums": table_checksums(self._db)}
+        self.header({**(values or {}), **sealed})
         self.commit()
 
     def close(self) -> None:

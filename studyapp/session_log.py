@@ -137,8 +137,8 @@ class DurableLog:
         self._pending.append(("about_self", (name, value)))
 
     def finish(self, values: Mapping[str, Any]) -> LogStatistics:
-        self._commit(("header", (dict(values),)))
-        self._send("finish")
+        self._commit()
+        self._send(("finish", dict(values)))
         statistics = self._await("seal the session file")
         self.close()
         return statistics
@@ -239,8 +239,7 @@ class DirectLog:
     def finish(self, values: Mapping[str, Any]) -> LogStatistics:
         def seal() -> None:
             self._flush()
-            self._file.header(values)
-            self._file.seal()
+            self._file.seal(values)
             self._file.close()
 
         self._said("seal the session file", seal)

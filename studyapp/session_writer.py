@@ -164,9 +164,9 @@ def _serve(pipe: Connection, writer: _Writer, started_ns: int) -> None:
             writer.file.close()
             return
         writer.drain()
-        if message == "finish":
+        if isinstance(message, tuple):  # ("finish", the last header values)
             writer.commit()
-            writer.file.seal()
+            writer.file.seal(message[1])
             writer.file.close()
             wall_s = (clock.now_ns() - started_ns) * 1e-9
             times = os.times()

@@ -16,8 +16,9 @@ import numpy as np
 import pytest
 
 from protocols.records import FLIP_DTYPE, TABLES, has_table
+from studyapp import session_file
 from studyapp.ring import RecordRing, spawn_context
-from studyapp.session_file import EventRow, ResponseRow, SessionFile, TrialRow, verify
+from studyapp.session_file import EventRow, ResponseRow, SessionFile, TrialRow, read_header, verify
 from studyapp.session_log import DirectLog, DurableLog, LogFailed
 
 
@@ -105,6 +106,29 @@ def test_a_changed_cell_breaks_the_checksum(tmp_path: Path) -> None:
     db.close()
     assert len(verify(path)) == 1
     assert "responses" in verify(path)[0]
+
+
+def test_a_file_that_says_it_is_complete_is_sealed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "s.sqlite"
+    file = SessionFile(path)
+    file.trial(trial_row(0))
+
+    def killed(db: sqlite3.Connection) -> dict[str, str]:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(session_file, "table_checksums", killed)
+        with pytest.raises(KeyboardInterrupt):
+            file.seal({"completed_utc": "now"})
+    file.close()
+    db = sqlite3.connect(path)
+    assert read_header(db) == {}
+    assert db.execute("SELECT trial FROM trials").fetchall() == [(0,)]
+    db.close()
+    again = SessionFile(path)
+    again.seal({"completed_utc": "now"})
+    again.close()
+    assert verify(path) == []
 
 
 def test_the_durable_log_holds_trial_answers_and_every_flip_when_it_acknowledges(tmp_path: Path) -> None:

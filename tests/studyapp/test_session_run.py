@@ -167,6 +167,21 @@ def test_a_killed_process_loses_no_committed_trial_and_resume_completes_each_cel
     db.close()
 
 
+def test_a_session_cut_off_before_its_seal_is_sealed_by_resume(tiny: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(run_arguments(tiny)) == 0
+    path = session_path(tiny)
+    db = sqlite3.connect(path)
+    db.execute("DELETE FROM header WHERE key IN ('completed_utc', 'checksums')")
+    db.commit()
+    db.close()
+    before = completed_cells(path)
+    capsys.readouterr()
+    assert main(run_arguments(tiny, "--resume")) == 0
+    assert "0 presentations" in capsys.readouterr().out
+    assert completed_cells(path) == before
+    assert verify(path) == []
+
+
 def test_resume_refuses_a_changed_protocol_a_complete_session_and_none_at_all(
     tiny: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
