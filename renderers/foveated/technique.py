@@ -19,6 +19,7 @@ from renderers.engine import LARGEST, Engine, EngineState
 from renderers.eye_angles import pixel_eccentricity_deg, plane_values
 from renderers.foveated import light_cache
 from renderers.foveated.compose import NO_SAMPLE, OVERWRITES, compose, first_samples
+from renderers.foveated.eyes import Eyes
 from renderers.foveated.mesh_blocks import SIZES, BlockMesh, blocks_of, flat_blocks
 from renderers.foveated.post_filter import filter_light
 from renderers.foveated.reprojection import look, mark
@@ -53,6 +54,8 @@ class Foveated:
         if min(size_px) < 1:
             raise InputError(problem("size_px", "picture size", f"{size_px[0]}x{size_px[1]}", "at least 1x1"))
         self.engine, self.size_px, self.params = engine, size_px, params
+        self._eyes = Eyes(lambda size: Foveated(engine, size, params, self._seed, measure))
+        self._seed = seed
         self._full: Vanilla | None = None
         if math.isinf(params.region[0]):
             same = VanillaParameters(light_samples=params.light_samples, delay_frames=0)
@@ -86,6 +89,7 @@ class Foveated:
     def reset(self, seed: int) -> None:
         """Start anew; the same views then give the same frames."""
         self._seed, self._history = seed, False
+        self._eyes.close()
         if self._full is not None:
             self._full.reset(seed)
             return
@@ -207,7 +211,9 @@ class Foveated:
     # A frame --------------------------------------------------------------------------------------------------------
 
     def render(self, view: View) -> Frame:
-        """This refresh, for the view's gaze."""
+        """This refresh, for the view's gaze; of a view with viewports each of them, with a history of its own."""
+        if view.viewports:
+            return self._eyes.render(view)
         if self._full is not None:
             return self._full.render(view)
         if view.cut:
@@ -300,6 +306,8 @@ class Foveated:
         """Debug pictures of the last frame, (H, W) each: ``sampled``, ``marks`` (0 or 1), ``probability``, ``alpha``
         (weight of this frame's samples; 0: none), and of the cache ``samples`` (rho; 0: from the support image) and
         ``age`` (frames)."""
+        if view.viewports:
+            return self._eyes.show(view)
         width, height = self.size_px
         if self._full is not None:
             one = np.ones((height, width), np.float32)
@@ -324,6 +332,7 @@ class Foveated:
         }
 
     def close(self) -> None:
-        """Free the OpenGL context."""
+        """Free the OpenGL contexts."""
+        self._eyes.close()
         if self._full is None:
             self._rasteriser.close()

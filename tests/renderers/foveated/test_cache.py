@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
+
 import numpy as np
 import pytest
 
 from renderers.backend import activate, dr, mi
 from renderers.foveated.cache import blend, least_weight, weights
 from renderers.parameters import Foveated
+from renderers.technique import View
+from tests.renderers.foveated.test_technique import made, view, wall
 
 activate()
 
@@ -102,3 +106,11 @@ def test_a_sample_overwrites(case: dict) -> None:
 def test_depths_within_the_threshold_and_two_backgrounds_agree() -> None:
     assert merged(z=10.4)[0] == pytest.approx(0.2)
     assert merged(z=float("inf"), z_cache=5e4)[0] == pytest.approx(0.2)
+
+
+def test_t_max_is_a_time_unless_it_is_set() -> None:
+    scene = wall()
+    assert made(scene).t_max(view(scene, 0)) == 16
+    assert made(scene, t_max=1).t_max(view(scene, 0)) == 1
+    slow = View(0, Fraction(0), Fraction(1), (120, 90), scene.camera)
+    assert made(scene).t_max(slow) == 1

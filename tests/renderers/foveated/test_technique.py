@@ -14,7 +14,6 @@ from renderers.foveated.foveal_function import sampling_probability
 from renderers.foveated.technique import Foveated
 from renderers.parameters import Foveated as Parameters
 from renderers.parameters import Vanilla as VanillaParameters
-from renderers.stereo import OCULUS_DK2
 from renderers.technique import Frame, Gaze, View, ViewGeometry
 from renderers.vanilla import Vanilla
 from stimuli import load_scene
@@ -279,14 +278,6 @@ def test_caching_lowers_the_noise_of_sampled_light() -> None:
     assert ((frame.color - truth)[cached] ** 2).mean() < 0.35 * ((one - truth)[cached] ** 2).mean()
 
 
-def test_t_max_is_a_time_unless_it_is_set() -> None:
-    scene = wall()
-    assert made(scene).t_max(view(scene, 0)) == 16
-    assert made(scene, t_max=1).t_max(view(scene, 0)) == 1
-    slow = View(0, Fraction(0), Fraction(1), SIZE, scene.camera)
-    assert made(scene).t_max(slow) == 1
-
-
 @pytest.mark.parametrize(
     "params", [{"t_max": 1}, {"k_min": 0.3, "k_max": 0.3}, {"r0_deg": 10, "r1_deg": 10}, {"n_fp": 1}]
 )
@@ -307,23 +298,6 @@ def test_kernels_are_recorded_once_for_every_number_of_samples_and_gaze() -> Non
     for k in range(12):
         technique.render(view(scene, k, gaze=(3.0 * k - 15, k * 1.0), exposure=1 + k / 100))
     assert max(kernel.recordings for kernel in technique._kernels.values()) <= 3
-
-
-def test_both_eyes_of_a_headset_render_and_see_with_parallax() -> None:
-    scene = load_scene("voxel_city")
-    engine = Engine(scene)
-    size = (78, 96)
-    assert np.degrees(OCULUS_DK2.xfov_rad) == pytest.approx(94, abs=0.1)
-    pictures = []
-    for eye in OCULUS_DK2.eyes(scene.camera):
-        technique = Foveated(engine, size, Parameters(), 1, "total")
-        for k in range(3):
-            frame = technique.render(view(scene, k, size, camera=eye, geometry=None))
-        pictures.append(frame.color.copy())
-    left, right = (eye.pose(np.array([1.0]))[0] for eye in OCULUS_DK2.eyes(scene.camera))
-    assert np.linalg.norm(right[:3, 3] - left[:3, 3]) == pytest.approx(0.064)
-    assert not np.array_equal(*pictures)
-    assert np.abs(pictures[0] - pictures[1]).mean() < 0.2
 
 
 def test_the_scene_of_the_study_stays_free_of_holes_under_fast_rotation() -> None:
