@@ -23,9 +23,11 @@ NODE_F = 10
 HAS, PX, PY, PLUMA, PTIME, PPOINT, PMOVER = 0, 1, 2, 3, 4, 5, 8
 NODE_P = 9
 # number, int64.
-LEAVES, FREE, FREE_NODES, ENTRIES, PAIRS, WAIT_FIRST, WAITING, NEXT, KEPT, TARGET, CHUNKS = range(11)
+LEAVES, FREE, FREE_NODES, ENTRIES, PAIRS, WAIT_FIRST, WAITING, NEXT, KEPT, TARGET, CHUNKS, PUT = range(12)
 # total, float64: W .. GGT of the whole picture stand at their own columns.
 EPOCH, TIMES, SUM_V, SUM_U, SUM_O = range(10, 15)
+BLOCK = 32
+"""Tiles (and pairs of tiles) whose largest (least) error is remembered together."""
 # wait, float64: crosshairs to be made anew where one was found hidden: place, the hidden centre's luma and time.
 WAIT = 4
 # stream_f, float32: linear colour, hit point, place in the picture when it was made.
@@ -38,8 +40,10 @@ class Buffers(NamedTuple):
     ``entry_f`` (C, ENTRY_F), ``entry_t`` (C,), ``entry_i`` (C, 8), ``free`` (C,) a stack; ``queue`` (W * H, depth)
     newest first, ``fill`` and ``leaf_of`` (W * H,); ``node_i`` (M, 8), ``node_f`` (M, NODE_F), ``node_p`` (M, NODE_P),
     ``free_nodes`` (M,); ``leaves``, ``error``, ``pairs`` (M,): tiles, their errors, parents of two leaves;
-    ``pair_place`` (M,); ``wait`` a ring; ``stream_f`` (N, STREAM_F), ``stream_i`` (N,) movers, ``stream_t`` (N,) a
-    ring in order of time; ``number`` and ``total`` as the columns above say.
+    ``pair_place`` (M,); ``leaf_best``, ``pair_best`` (M / BLOCK + 1,): the places of the worst tile and the calmest
+    pair of each block (-1: none), true where ``leaf_stale``, ``pair_stale`` are not set; ``wait`` a ring; ``stream_f``
+    (N, STREAM_F), ``stream_i`` (N,) movers, ``stream_t`` (N,) a ring in order of time; ``number`` and ``total`` as the
+    columns above say.
     """
 
     entry_f: np.ndarray
@@ -57,6 +61,10 @@ class Buffers(NamedTuple):
     error: np.ndarray
     pairs: np.ndarray
     pair_place: np.ndarray
+    leaf_best: np.ndarray
+    leaf_stale: np.ndarray
+    pair_best: np.ndarray
+    pair_stale: np.ndarray
     wait: np.ndarray
     stream_f: np.ndarray
     stream_i: np.ndarray
@@ -80,6 +88,7 @@ class Settings(NamedTuple):
     lam: float
     m: float
     gain: float
+    area_power: float
     decay_per_s: float
     exposure: float
     followed: bool
@@ -89,6 +98,7 @@ def make_buffers(s: Settings, kept: int) -> Buffers:
     """Empty buffers with one tile that is the whole picture."""
     pixels = s.width * s.height
     entries, nodes = pixels * s.depth, 2 * s.most_tiles + 2
+    blocks = nodes // BLOCK + 1
     b = Buffers(
         entry_f=np.empty((entries, ENTRY_F), np.float32),
         entry_t=np.empty(entries, np.float64),
@@ -105,6 +115,10 @@ def make_buffers(s: Settings, kept: int) -> Buffers:
         error=np.zeros(nodes),
         pairs=np.zeros(nodes, np.int32),
         pair_place=np.full(nodes, -1, np.int32),
+        leaf_best=np.full(blocks, -1, np.int32),
+        leaf_stale=np.ones(blocks, np.bool_),
+        pair_best=np.full(blocks, -1, np.int32),
+        pair_stale=np.ones(blocks, np.bool_),
         wait=np.zeros((max(64, pixels // 16), WAIT)),
         stream_f=np.empty((kept, STREAM_F), np.float32),
         stream_i=np.zeros(kept, np.int32),

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-SOURCES = ("buffers", "crosshair", "deep_buffer", "rays", "reconstructor", "sampler", "tiling")
+SOURCES = (
+    "balance", "buffers", "crosshair", "deep_buffer", "rays", "reconstructor", "sampler", "splats", "tiling", "visits",
+)  # fmt: skip
 """The modules whose code or constants are compiled."""
 
 

@@ -103,3 +103,4 @@ def put_in_stream(
     b.stream_t[k] = time_s
     b.number[c.NEXT] = (k + 1) % len(b.stream_t)
     b.number[c.KEPT] = min(b.number[c.KEPT] + 1, len(b.stream_t))
+    b.number[c.PUT] += 1

@@ -1,7 +1,6 @@
-"""The sampler: where the next chunk of crosshairs goes, and what is learnt from it (Dayal et al. 2005, Fig. 5).
+"""The sampler's loop: a chunk of visits is planned, traced by its owner and taken in; then the tiling is adjusted.
 
-A chunk is planned (tiles drawn, crosshairs completed and begun, others chosen for reprojection), traced in one launch,
-and taken in; then the tiling is adjusted. Compiled code; a change in a module it calls needs a new compilation here.
+Compiled code; a change in a module it calls needs a new compilation here (see `compiled`).
 """
 
 from __future__ import annotations
@@ -13,255 +12,24 @@ from numba import njit
 
 from renderers.adaptive_frameless import buffers as c
 from renderers.adaptive_frameless import rays
+from renderers.adaptive_frameless.balance import adjust
 from renderers.adaptive_frameless.buffers import Buffers, Settings, make_buffers
-from renderers.adaptive_frameless.crosshair import (
-    ARMS,
-    blended,
-    display_luma,
-    moved,
-    moved_gradients,
-    projected,
-    spatial_gradients,
-    temporal_gradient,
-)
-from renderers.adaptive_frameless.deep_buffer import (
-    make_room,
-    new_entry,
-    push_back,
-    push_front,
-    put_in_stream,
-    remove,
-    take_out,
-)
-from renderers.adaptive_frameless.tiling import adjust, even_tiling, sum_errors
+from renderers.adaptive_frameless.crosshair import ARMS, display_luma, spatial_gradients
+from renderers.adaptive_frameless.deep_buffer import new_entry, push_front, put_in_stream
+from renderers.adaptive_frameless.tiling import even_tiling, sum_errors
+from renderers.adaptive_frameless.visits import JOB_F, SAMPLES_PER_VISIT, Poses, hit, plan, take_in
 
-SAMPLES_PER_VISIT = 6
-"""Five that complete a crosshair and one that begins the next (section 4.1)."""
-# job_f, a visit's plan: centre; the earlier sample's luma and time (NaN: none); the place of the begun crosshair.
-JX, JY, JLUMA, JTIME, JNEW_X, JNEW_Y, JHIDDEN = range(7)
-JOB_F = 7
-_OUTSIDE = 1 << 30  # added to a job's entry whose centre has left the picture
+__all__ = ["SAMPLES_PER_VISIT", "Chunk", "Poses", "Sampler"]
 
 
-class Poses(NamedTuple):
-    """`rays.HostPoses` for compiled code, with scene seconds of t1."""
+class Chunk(NamedTuple):
+    """Visits that are planned: ``times_s`` (n,) seconds after t1, ``rows`` (6 n, rays.IN) for `FramelessRays.trace`,
+    ``job_f`` and ``job_i`` as `visits` fills them."""
 
-    camera: np.ndarray
-    movers: np.ndarray
-    window: np.ndarray
-    lens: np.ndarray
-    t1_s: float
-
-
-@njit(cache=True)
-def _world(p: Poses, mover: int, x: float, y: float, z: float, time_s: float, pose: np.ndarray) -> tuple:
-    if mover == 0:
-        return x, y, z
-    blended(p.movers[mover], p.lens[0], time_s, pose)
-    return moved(pose, x, y, z)
-
-
-@njit(cache=True)
-def plan(
-    b: Buffers, s: Settings, p: Poses, times_s: np.ndarray, chance: np.ndarray, rows: np.ndarray, job_f: np.ndarray,
-    job_i: np.ndarray,
-) -> None:  # fmt: skip
-    """Choose what ``len(times_s)`` visits sample: fills ``rows`` (6 n, rays.IN), ``job_f``, ``job_i`` (n, r).
-
-    ``times_s``: seconds after t1. ``chance`` (n, 5 + 2 r): uniform numbers in [0, 1).
-    """
-    camera, pose = np.empty((3, 4)), np.empty((3, 4))
-    rows[:, 7] = 0.0
-    replaced = 0
-    for k in range(len(times_s)):
-        time_s = times_s[k]
-        blended(p.camera, p.lens[0], time_s, camera)
-        job = job_f[k]
-        job[JLUMA], job[JTIME], job[JHIDDEN] = np.nan, np.nan, 0.0
-        if b.number[c.WAITING] > 0 and 2 * replaced < len(times_s):
-            # a crosshair found hidden is made anew where it was
-            w = b.wait[b.number[c.WAIT_FIRST]]
-            job[JX], job[JY], job[JLUMA], job[JTIME], job[JHIDDEN] = w[0], w[1], w[2], w[3], 1.0
-            b.number[c.WAIT_FIRST] = (b.number[c.WAIT_FIRST] + 1) % len(b.wait)
-            b.number[c.WAITING] -= 1
-            replaced += 1
-            leaf = b.leaf_of[int(job[JY]) * s.width + int(job[JX])]
-        else:
-            # a tile drawn at random
-            leaf = b.leaves[int(chance[k, 0] * b.number[c.LEAVES])]
-            n = b.node_i[leaf]
-            job[JX] = n[c.X0] + chance[k, 1] * (n[c.X1] - n[c.X0])
-            job[JY] = n[c.Y0] + chance[k, 2] * (n[c.Y1] - n[c.Y0])
-            begun = b.node_p[leaf]
-            if begun[c.HAS] > 0:
-                begun[c.HAS] = 0.0
-                x, y = begun[c.PX], begun[c.PY]
-                if s.followed:
-                    wx, wy, wz = _world(
-                        p, int(begun[c.PMOVER]), begun[c.PPOINT], begun[c.PPOINT + 1], begun[c.PPOINT + 2], time_s, pose
-                    )
-                    x, y, depth = projected(camera, p.lens, wx, wy, wz)
-                    if depth <= 0:
-                        x = -1.0
-                if n[c.X0] <= x < n[c.X1] and n[c.Y0] <= y < n[c.Y1]:
-                    job[JX], job[JY], job[JLUMA], job[JTIME] = x, y, begun[c.PLUMA], begun[c.PTIME]
-        n = b.node_i[leaf]
-        job[JNEW_X] = n[c.X0] + chance[k, 3] * (n[c.X1] - n[c.X0])
-        job[JNEW_Y] = n[c.Y0] + chance[k, 4] * (n[c.Y1] - n[c.Y0])
-        # six samples
-        for j in range(SAMPLES_PER_VISIT):
-            row = rows[k * SAMPLES_PER_VISIT + j]
-            row[0], row[1], row[2] = job[JX], job[JY], time_s
-            if 0 < j < 5:
-                row[0] += ARMS[j - 1][0]
-                row[1] += ARMS[j - 1][1]
-            elif j == 5:
-                row[0], row[1] = job[JNEW_X], job[JNEW_Y]
-        # crosshairs of this tile to reproject, with a ray each to see whether they are hidden
-        for j in range(s.reprojected):
-            job_i[k, j] = -1
-            x = n[c.X0] + int(chance[k, 5 + 2 * j] * (n[c.X1] - n[c.X0]))
-            y = n[c.Y0] + int(chance[k, 6 + 2 * j] * (n[c.Y1] - n[c.Y0]))
-            pixel = y * s.width + x
-            if b.fill[pixel] == 0:
-                continue
-            entry = b.queue[pixel, 0]
-            if b.entry_i[entry, c.ASKED]:
-                continue
-            b.entry_i[entry, c.ASKED] = 1
-            e = b.entry_f[entry]
-            mover = b.entry_i[entry, c.MOVER]
-            wx, wy, wz = _world(p, mover, e[c.POINT], e[c.POINT + 1], e[c.POINT + 2], time_s, pose)
-            px, py, depth = projected(camera, p.lens, wx, wy, wz)
-            gone = not p.window[mover, 0] <= time_s <= p.window[mover, 1]
-            if gone or depth <= 0 or not (0 <= px < s.width and 0 <= py < s.height):
-                job_i[k, j] = entry + _OUTSIDE
-                continue
-            job_i[k, j] = entry
-            if k * s.reprojected + j < len(rows):
-                row = rows[k * s.reprojected + j]
-                row[3], row[4], row[5], row[6], row[7] = wx, wy, wz, time_s, 1.0
-
-
-@njit(cache=True)
-def _hit(found: np.ndarray, sample: int) -> tuple:
-    f = found[sample]
-    return f[rays.LOCAL_X], f[rays.LOCAL_Y], f[rays.LOCAL_Z], int(f[rays.MOVER])
-
-
-@njit(cache=True)
-def take_in(
-    b: Buffers, s: Settings, p: Poses, times_s: np.ndarray, rows: np.ndarray, found: np.ndarray, job_f: np.ndarray,
-    job_i: np.ndarray,
-) -> int:  # fmt: skip
-    """Put the traced chunk into deep buffer, tiles and stream; returns how many visibility rays were traced."""
-    asked = 0
-    for k in range(len(times_s)):
-        time_s = p.t1_s + times_s[k]
-        first, job = k * SAMPLES_PER_VISIT, job_f[k]
-        # every sample goes to the reconstructor at once
-        for j in range(SAMPLES_PER_VISIT):
-            x, y, z, mover = _hit(found, first + j)
-            f = found[first + j]
-            put_in_stream(
-                b, time_s, f[rays.RED], f[rays.GREEN], f[rays.BLUE], x, y, z, mover,
-                rows[first + j, 0], rows[first + j, 1],
-            )  # fmt: skip
-        _complete(b, s, found, first, job, time_s)
-        asked += _reproject(b, s, p, times_s[k], found, k, job_i)
-        _begin(b, s, found, first + 5, job, time_s)
-    return asked
-
-
-@njit(cache=True)
-def _complete(b: Buffers, s: Settings, found: np.ndarray, first: int, job: np.ndarray, time_s: float) -> None:
-    """A finished crosshair into the front of its pixel's queue."""
-    px = min(max(int(job[JX]), 0), s.width - 1)
-    py = min(max(int(job[JY]), 0), s.height - 1)
-    make_room(b, s, py * s.width + px)
-    entry = new_entry(b)
-    e = b.entry_f[entry]
-    for j in range(5):
-        f = found[first + j]
-        e[c.LUMA + j] = display_luma(f[rays.RED], f[rays.GREEN], f[rays.BLUE], s.exposure)
-        x, y, z, mover = _hit(found, first + j)
-        e[c.POINT + 3 * j], e[c.POINT + 3 * j + 1], e[c.POINT + 3 * j + 2] = x, y, z
-        b.entry_i[entry, c.MOVER + j] = mover
-    e[c.X], e[c.Y] = job[JX], job[JY]
-    b.entry_t[entry] = time_s
-    b.entry_i[entry, c.OCCLUDED] = int(job[JHIDDEN])
-    spatial_gradients(b, entry)
-    e[c.GT] = -1.0
-    if job[JTIME] == job[JTIME]:
-        e[c.GT] = temporal_gradient(e[c.LUMA], time_s, job[JLUMA], job[JTIME])
-    push_front(b, s, entry, py * s.width + px)
-
-
-@njit(cache=True)
-def _begin(b: Buffers, s: Settings, found: np.ndarray, sample: int, job: np.ndarray, time_s: float) -> None:
-    """The initiating sample waits in its tile for the next visit."""
-    px = min(max(int(job[JNEW_X]), 0), s.width - 1)
-    py = min(max(int(job[JNEW_Y]), 0), s.height - 1)
-    begun = b.node_p[b.leaf_of[py * s.width + px]]
-    f = found[sample]
-    begun[c.HAS], begun[c.PX], begun[c.PY], begun[c.PTIME] = 1.0, job[JNEW_X], job[JNEW_Y], time_s
-    begun[c.PLUMA] = display_luma(f[rays.RED], f[rays.GREEN], f[rays.BLUE], s.exposure)
-    x, y, z, mover = _hit(found, sample)
-    begun[c.PPOINT], begun[c.PPOINT + 1], begun[c.PPOINT + 2], begun[c.PMOVER] = x, y, z, mover
-
-
-@njit(cache=True)
-def _reproject(
-    b: Buffers, s: Settings, p: Poses, time_s: float, found: np.ndarray, visit: int, job_i: np.ndarray
-) -> int:
-    """Move the visit's chosen crosshairs to where they are seen now; hidden ones wait to be made anew (section 6.1)."""
-    camera, pose = np.empty((3, 4)), np.empty((3, 4))
-    x, y = np.empty(5), np.empty(5)
-    blended(p.camera, p.lens[0], time_s, camera)
-    asked = 0
-    for j in range(s.reprojected):
-        entry = job_i[visit, j]
-        if entry < 0:
-            continue
-        outside = entry >= _OUTSIDE
-        entry = entry - _OUTSIDE if outside else entry
-        asked += 0 if outside else 1
-        if not b.entry_i[entry, c.ASKED]:
-            continue  # another visit of this chunk has dropped it
-        b.entry_i[entry, c.ASKED] = 0
-        if outside:
-            remove(b, s, entry)
-            continue
-        e = b.entry_f[entry]
-        for a in range(5):
-            at = c.POINT + 3 * a
-            wx, wy, wz = _world(p, b.entry_i[entry, c.MOVER + a], e[at], e[at + 1], e[at + 2], time_s, pose)
-            x[a], y[a], depth = projected(camera, p.lens, wx, wy, wz)
-            if depth <= 0:
-                x[a], y[a] = x[0], y[0]
-        px, py = min(int(x[0]), s.width - 1), min(int(y[0]), s.height - 1)
-        lane = visit * s.reprojected + j
-        if lane < len(found) and found[lane, rays.VISIBLE] < 0.5:
-            if b.number[c.WAITING] < len(b.wait):
-                w = b.wait[(b.number[c.WAIT_FIRST] + b.number[c.WAITING]) % len(b.wait)]
-                w[0], w[1], w[2], w[3] = x[0], y[0], e[c.LUMA], b.entry_t[entry]
-                b.number[c.WAITING] += 1
-            remove(b, s, entry)
-            continue
-        pixel = py * s.width + px
-        stays = pixel == b.entry_i[entry, c.PIXEL]
-        if stays and abs(x[0] - e[c.X]) + abs(y[0] - e[c.Y]) < 1e-3:
-            continue  # nothing has moved
-        take_out(b, s, entry)
-        moved_gradients(b, entry, x, y)
-        if b.fill[pixel] > 0:
-            newest = b.queue[pixel, 0]
-            change = temporal_gradient(b.entry_f[newest, c.LUMA], b.entry_t[newest], e[c.LUMA], b.entry_t[entry])
-            if change >= 0:
-                e[c.GT] = change
-        e[c.X], e[c.Y] = x[0], y[0]
-        push_back(b, s, entry, pixel)
-    return asked
+    times_s: np.ndarray
+    rows: np.ndarray
+    job_f: np.ndarray
+    job_i: np.ndarray
 
 
 @njit(cache=True)
@@ -277,7 +45,7 @@ def _first_fill(b: Buffers, s: Settings, time_s: float, found: np.ndarray) -> No
                 at = min(max(y + dy, 0), s.height - 1) * s.width + min(max(x + dx, 0), s.width - 1)
                 f = found[at]
                 e[c.LUMA + j] = display_luma(f[rays.RED], f[rays.GREEN], f[rays.BLUE], s.exposure)
-                px, py, pz, mover = _hit(found, at)
+                px, py, pz, mover = hit(found, at)
                 e[c.POINT + 3 * j], e[c.POINT + 3 * j + 1], e[c.POINT + 3 * j + 2] = px, py, pz
                 b.entry_i[entry, c.MOVER + j] = mover
             e[c.X], e[c.Y] = x + 0.5, y + 0.5
@@ -286,9 +54,24 @@ def _first_fill(b: Buffers, s: Settings, time_s: float, found: np.ndarray) -> No
             e[c.GT] = -1.0
             push_front(b, s, entry, pixel)
             f = found[pixel]
-            px, py, pz, mover = _hit(found, pixel)
+            px, py, pz, mover = hit(found, pixel)
             put_in_stream(b, time_s, f[rays.RED], f[rays.GREEN], f[rays.BLUE], px, py, pz, mover, x + 0.5, y + 0.5)
     sum_errors(b, s)
+
+
+@njit(cache=True)
+def _turn(
+    b: Buffers, s: Settings, p: Poses, done: Chunk, found: np.ndarray, totals: np.ndarray, following: Chunk,
+    chance: np.ndarray,
+) -> int:  # fmt: skip
+    """All that lies between two launches, in one call: entering compiled code costs as much as a chunk's work."""
+    asked = take_in(b, s, p, done.times_s, done.rows, found, done.job_f, done.job_i)
+    for lane in range(len(found)):
+        for column in range(len(totals)):
+            totals[column] += found[lane, column]
+    adjust(b, s, p.t1_s + done.times_s[-1])
+    plan(b, s, p, following.times_s, chance, following.rows, following.job_f, following.job_i)
+    return asked
 
 
 class Sampler:
@@ -304,21 +87,33 @@ class Sampler:
         even_tiling(self.buffers, self.settings)
         _first_fill(self.buffers, self.settings, time_s, found)
 
-    def plan(self, poses: Poses, times_s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Rows for `FramelessRays.trace`, and the jobs that `take_in` wants back."""
+    def _room(self, times_s: np.ndarray) -> tuple[Chunk, np.ndarray]:
+        """An unplanned chunk and its random numbers."""
         visits, r = len(times_s), self.settings.reprojected
         rows = np.empty((visits * SAMPLES_PER_VISIT, rays.IN), np.float32)
-        job_f, job_i = np.empty((visits, JOB_F)), np.empty((visits, max(r, 1)), np.int64)
-        chance = self._rng.random((visits, 5 + 2 * r))
-        plan(self.buffers, self.settings, poses, times_s, chance, rows, job_f, job_i)
-        return rows, job_f, job_i
+        chunk = Chunk(times_s, rows, np.empty((visits, JOB_F)), np.empty((visits, max(r, 1)), np.int64))
+        return chunk, self._rng.random((visits, 5 + 2 * r))
 
-    def take_in(
-        self, poses: Poses, times_s: np.ndarray, rows: np.ndarray, found: np.ndarray, job_f: np.ndarray,
-        job_i: np.ndarray,
-    ) -> int:  # fmt: skip
+    def plan(self, poses: Poses, times_s: np.ndarray) -> Chunk:
+        """What the visits at ``times_s`` (seconds after t1) sample."""
+        chunk, chance = self._room(times_s)
+        plan(self.buffers, self.settings, poses, times_s, chance, chunk.rows, chunk.job_f, chunk.job_i)
+        return chunk
+
+    def turn(
+        self, poses: Poses, done: Chunk, found: np.ndarray, totals: np.ndarray, times_s: np.ndarray
+    ) -> tuple[Chunk, int]:
+        """Take in what was ``found`` for ``done``, adjust the tiling, and plan the visits at ``times_s`` (may be none).
+
+        Adds the result columns to ``totals`` (rays.OUT,); returns the next chunk and the visibility rays traced.
+        """
+        following, chance = self._room(times_s)
+        asked = _turn(self.buffers, self.settings, poses, done, found, totals, following, chance)
+        return following, int(asked)
+
+    def take_in(self, poses: Poses, done: Chunk, found: np.ndarray) -> int:
         """What was found goes into deep buffer, tiles and stream; returns the visibility rays traced."""
-        return int(take_in(self.buffers, self.settings, poses, times_s, rows, found, job_f, job_i))
+        return int(take_in(self.buffers, self.settings, poses, *done[:2], found, *done[2:]))
 
     def adjust(self, now_s: float) -> None:
         """Adjust the tiling after a chunk."""

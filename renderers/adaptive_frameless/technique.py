@@ -17,9 +17,10 @@ from renderers.adaptive_frameless.buffers import Settings
 from renderers.adaptive_frameless.compiled import drop_stale_code
 from renderers.adaptive_frameless.overlay import debug_pictures
 from renderers.adaptive_frameless.rays import CLAMPED, IN, OUT, FramelessRays, counted, host_poses
-from renderers.adaptive_frameless.reconstructor import Filter, Reconstructor
+from renderers.adaptive_frameless.reconstructor import Reconstructor
 from renderers.adaptive_frameless.sampler import SAMPLES_PER_VISIT, Poses, Sampler
-from renderers.backend import dr
+from renderers.adaptive_frameless.splats import Filter, Scenery, make_splats
+from renderers.backend import dr, is_cuda
 from renderers.engine import Engine, EngineState
 from renderers.parameters import AdaptiveFrameless as AdaptiveFramelessParameters
 from renderers.pixels import inverse_order, pixel_centres, tile_order
@@ -35,7 +36,8 @@ def sampler_settings(size_px: tuple[int, int], p: AdaptiveFramelessParameters, e
     return Settings(
         width=size_px[0], height=size_px[1], depth=p.depth, reprojected=p.reprojected, least_tile_px=p.least_tile_px,
         least_tiles=min(p.least_tiles, most), most_tiles=most, moves=p.tiling_moves, kappa=p.kappa, lam=p.lambda_,
-        m=p.m, gain=p.i, decay_per_s=p.decay_per_s, exposure=exposure, followed=p.temporal_gradient == "followed",
+        m=p.m, gain=p.i, area_power=p.area_power, decay_per_s=p.decay_per_s, exposure=exposure,
+        followed=p.temporal_gradient == "followed",
     )  # fmt: skip
 
 
@@ -59,6 +61,8 @@ class AdaptiveFrameless:
         drop_stale_code()
         self._watch = Stopwatch(measure, dr.sync_thread)
         self._rays = FramelessRays(engine, follow_movers=params.reproject_movers)
+        self._kept = max(1, round(params.samples_kept_per_px * size_px[0] * size_px[1]))
+        self._splats = make_splats(params.splats, is_cuda(), size_px, self._kept)
         self.reset(seed)
 
     def reset(self, seed: int) -> None:
@@ -71,9 +75,8 @@ class AdaptiveFrameless:
     def _fill(self, view: View, state: EngineState, now_s: float) -> tuple[np.ndarray, int]:
         """One sample a pixel at t1 into new buffers; the sums of the result columns, and how many samples."""
         pixels = self.size_px[0] * self.size_px[1]
-        kept = max(1, round(self.params.samples_kept_per_px * pixels))
-        self.sampler = Sampler(sampler_settings(self.size_px, self.params, view.exposure), kept, self._rng)
-        self.reconstructor = Reconstructor(self.size_px, kept, self.params.least_splat_px)
+        self.sampler = Sampler(sampler_settings(self.size_px, self.params, view.exposure), self._kept, self._rng)
+        self.reconstructor = Reconstructor(self.size_px, self._splats, self.params.least_splat_px)
         order = tile_order(*self.size_px)
         rows = np.zeros((pixels, IN), np.float32)
         rows[:, 0], rows[:, 1] = pixel_centres(order, self.size_px[0])
@@ -84,18 +87,18 @@ class AdaptiveFrameless:
     def _sample(self, view: View, state: EngineState, poses: Poses) -> tuple[np.ndarray, int, int]:
         """This interval's chunks, one after another; the sums of result columns, primary and visibility rays."""
         assert self.sampler is not None
-        totals, visibility = np.zeros(OUT), 0
+        totals, visibility, size = np.zeros(OUT), 0, self.params.chunk_crosshairs
         times_s = self._clock.take(view.t1 - view.t0)
-        for first in range(0, len(times_s), self.params.chunk_crosshairs):
-            now = times_s[first : first + self.params.chunk_crosshairs]
-            with self._watch.stage("control"):
-                rows, job_f, job_i = self.sampler.plan(poses, now)
+        seeds = self._rng.integers(1 << 32, size=-(-len(times_s) // size)).tolist()
+        with self._watch.stage("control"):
+            chunk = self.sampler.plan(poses, times_s[:size])
+        for k, seed in enumerate(seeds):
             with self._watch.stage("trace"):
-                found = self._rays.trace(state, rows, int(self._rng.integers(1 << 32)))
+                found = self._rays.trace(state, chunk.rows, seed)
             with self._watch.stage("control"):
-                visibility += self.sampler.take_in(poses, now, rows, found, job_f, job_i)
-                totals = totals + found.sum(axis=0, dtype=np.float64)
-                self.sampler.adjust(poses.t1_s + now[-1])
+                following = times_s[(k + 1) * size : (k + 2) * size]
+                chunk, asked = self.sampler.turn(poses, chunk, found, totals, following)
+                visibility += asked
         return totals, len(times_s) * SAMPLES_PER_VISIT, visibility
 
     def render(self, view: View) -> Frame:
@@ -136,16 +139,21 @@ class AdaptiveFrameless:
             depth_tolerance=1.0 + p.depth_tolerance if p.depth_tolerance > 0 else np.inf,
             reproject=p.reproject,
         )
-        return self.reconstructor.reconstruct(
-            b, f, poses.camera[-1], np.ascontiguousarray(poses.movers[:, -1]), poses.window, poses.lens, poses.t1_s
-        )
+        movers = np.ascontiguousarray(poses.movers[:, -1])
+        scenery = Scenery(poses.camera[-1], movers, poses.window, poses.lens, poses.t1_s)
+        return self.reconstructor.reconstruct(b, scenery, f)
 
     def show(self, view: View) -> dict[str, np.ndarray]:
         """Debug pictures of the last frame, see `overlay.debug_pictures`; empty before the first."""
         if self.sampler is None or self.reconstructor is None:
             return {}
-        coverage = self.reconstructor.coverage[:, 0]
-        return debug_pictures(self.sampler.buffers, self.sampler.settings, self.params.samples_per_s, coverage)
+        width, height = self.size_px
+        picture, coverage = self.reconstructor.picture.reshape(height, width, 3), self.reconstructor.coverage[:, 0]
+        return debug_pictures(self.sampler.buffers, self.sampler.settings, self.params.samples_per_s, picture, coverage)
+
+    def close(self) -> None:
+        """Free what the splats hold outside Python."""
+        self._splats.close()
 
     def tiles(self) -> int:
         """How many tiles there are now."""

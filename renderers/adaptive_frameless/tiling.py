@@ -17,8 +17,6 @@ from renderers.adaptive_frameless.buffers import Buffers, Settings
 
 EPOCH_S = 2.0
 """How often the common epoch of the weights moves: weights then span a factor of a thousand at most."""
-ERRORS_EVERY = 16
-"""Chunks between two sums of all tiles' errors, which normalise them."""
 
 
 @njit(cache=True)
@@ -30,7 +28,7 @@ def add_entry(b: Buffers, s: Settings, entry: int, sign: float) -> None:
     b.total[c.TIMES] += sign * b.entry_t[entry]
     if sign < 0 and b.node_f[node, c.W] < 1e-6 * math.exp(s.decay_per_s * (b.entry_t[entry] - b.total[c.EPOCH])):
         sum_tile(b, s, node)  # what is left weighs so little that the subtraction's rounding would show
-    b.error[b.node_i[node, c.PLACE]] = tile_error(b, s, node)
+    _find_error(b, s, node)
 
 
 @njit(cache=True)
@@ -116,20 +114,39 @@ def undersampling(b: Buffers, s: Settings, node: int) -> float:
 
 
 @njit(cache=True)
+def _terms(b: Buffers, s: Settings, node: int) -> tuple[float, float, float]:
+    """Variation, undersampling and occlusions of a tile, each times area ** ``area_power``."""
+    area = tile_area(b, node)
+    size = float(area) ** s.area_power
+    hidden = b.node_f[node, c.HIDDEN] / (area * s.depth)
+    return variation(b, node) * size, undersampling(b, s, node) * size, hidden * size
+
+
+@njit(cache=True)
 def tile_error(b: Buffers, s: Settings, node: int) -> float:
     """E_tile from variation, undersampling and occlusions, each over its sum over all tiles when last summed.
 
     A term whose sum is 0 counts as 0. A millionth of the tile's share of the picture lets the larger of equals split.
     """
-    area = tile_area(b, node)
-    error = 1e-6 * area / (s.width * s.height)
+    error = 1e-6 * tile_area(b, node) / (s.width * s.height)
+    v, u, o = _terms(b, s, node)
     if b.total[c.SUM_V] > 0:
-        error += (1.0 - s.kappa - s.lam) * variation(b, node) / b.total[c.SUM_V]
+        error += (1.0 - s.kappa - s.lam) * v / b.total[c.SUM_V]
     if b.total[c.SUM_U] > 0:
-        error += s.kappa * undersampling(b, s, node) / b.total[c.SUM_U]
+        error += s.kappa * u / b.total[c.SUM_U]
     if b.total[c.SUM_O] > 0:
-        error += s.lam * b.node_f[node, c.HIDDEN] / (area * s.depth) / b.total[c.SUM_O]
+        error += s.lam * o / b.total[c.SUM_O]
     return error
+
+
+@njit(cache=True)
+def _find_error(b: Buffers, s: Settings, node: int) -> None:
+    place = b.node_i[node, c.PLACE]
+    b.error[place] = tile_error(b, s, node)
+    b.leaf_stale[place // c.BLOCK] = True
+    parent = b.node_i[node, c.PARENT]
+    if parent >= 0 and b.pair_place[parent] >= 0:
+        b.pair_stale[b.pair_place[parent] // c.BLOCK] = True
 
 
 @njit(cache=True)
@@ -137,13 +154,12 @@ def sum_errors(b: Buffers, s: Settings) -> None:
     """Sum the three terms over all tiles, and refresh every tile's error."""
     v, u, o = 0.0, 0.0, 0.0
     for k in range(b.number[c.LEAVES]):
-        node = b.leaves[k]
-        v += variation(b, node)
-        u += undersampling(b, s, node)
-        o += b.node_f[node, c.HIDDEN] / (tile_area(b, node) * s.depth)
+        own = _terms(b, s, b.leaves[k])
+        v, u, o = v + own[0], u + own[1], o + own[2]
     b.total[c.SUM_V], b.total[c.SUM_U], b.total[c.SUM_O] = v, u, o
     for k in range(b.number[c.LEAVES]):
         b.error[k] = tile_error(b, s, b.leaves[k])
+    b.leaf_stale[:], b.pair_stale[:] = True, True
 
 
 @njit(cache=True)
@@ -161,11 +177,14 @@ def _drop_pair(b: Buffers, node: int) -> None:
         b.pairs[place], b.pair_place[last] = last, place
         b.pair_place[node] = -1
         b.number[c.PAIRS] -= 1
+        b.pair_stale[place // c.BLOCK] = b.pair_stale[b.number[c.PAIRS] // c.BLOCK] = True
 
 
 @njit(cache=True)
 def _add_pair(b: Buffers, node: int) -> None:
-    b.pairs[b.number[c.PAIRS]], b.pair_place[node] = node, b.number[c.PAIRS]
+    place = b.number[c.PAIRS]
+    b.pairs[place], b.pair_place[node] = node, place
+    b.pair_stale[place // c.BLOCK] = True
     b.number[c.PAIRS] += 1
 
 
@@ -211,7 +230,7 @@ def split(b: Buffers, s: Settings, node: int) -> None:
         b.node_p[child] = p
         if not inside:
             b.node_p[child, c.HAS] = 0.0
-        b.error[place] = tile_error(b, s, child)
+        _find_error(b, s, child)
     n[c.PLACE] = -1
     _add_pair(b, node)
 
@@ -236,6 +255,7 @@ def merge(b: Buffers, s: Settings, node: int) -> None:
     moved = b.leaves[last]
     b.leaves[gap], b.error[gap] = moved, b.error[last]
     b.node_i[moved, c.PLACE] = gap
+    b.leaf_stale[gap // c.BLOCK] = b.leaf_stale[last // c.BLOCK] = True
     b.number[c.LEAVES] = last
     for child in (right, left):
         b.free_nodes[b.number[c.FREE_NODES]] = child
@@ -248,70 +268,7 @@ def merge(b: Buffers, s: Settings, node: int) -> None:
         other = b.node_i[parent, c.RIGHT] if b.node_i[parent, c.LEFT] == node else b.node_i[parent, c.LEFT]
         if b.node_i[other, c.LEFT] < 0:
             _add_pair(b, parent)
-    b.error[n[c.PLACE]] = tile_error(b, s, node)
-
-
-@njit(cache=True)
-def wanted_tiles(b: Buffers, s: Settings, now_s: float) -> int:
-    """The number of tiles at which dC/ds * S = i * dC/dt * T (section 4.1): S the tiles' width, T the mean age."""
-    total = b.total
-    if total[c.G] <= 0 or b.number[c.ENTRIES] == 0:
-        return s.least_tiles
-    over_space = (total[c.GGX] + total[c.GGY]) / (2.0 * total[c.G])
-    over_time = total[c.GGT] / total[c.GTW] if total[c.GTW] > 0 else 0.0
-    age_s = now_s - total[c.TIMES] / b.number[c.ENTRIES]
-    wide = s.gain * over_time * max(age_s, 0.0)
-    if wide <= 0 or over_space <= 0:
-        return s.most_tiles if wide <= 0 else s.least_tiles
-    tiles = s.width * s.height * (over_space / wide) ** 2
-    return int(min(max(tiles, s.least_tiles), s.most_tiles))
-
-
-@njit(cache=True)
-def _worst(b: Buffers, s: Settings) -> int:
-    best, found = -1.0, -1
-    for k in range(b.number[c.LEAVES]):
-        if b.error[k] > best and can_split(b, s, b.leaves[k]):
-            best, found = b.error[k], b.leaves[k]
-    return found
-
-
-@njit(cache=True)
-def _calmest(b: Buffers) -> int:
-    best, found = math.inf, -1
-    for k in range(b.number[c.PAIRS]):
-        n = b.node_i[b.pairs[k]]
-        both = b.error[b.node_i[n[c.LEFT], c.PLACE]] + b.error[b.node_i[n[c.RIGHT], c.PLACE]]
-        if both < best:
-            best, found = both, b.pairs[k]
-    return found
-
-
-@njit(cache=True)
-def adjust(b: Buffers, s: Settings, now_s: float) -> None:
-    """After a chunk: move towards the wanted number of tiles, and split the worst and merge the calmest pair."""
-    move_epoch(b, s, now_s)
-    if b.number[c.CHUNKS] % ERRORS_EVERY == 0:
-        sum_errors(b, s)
-    b.number[c.CHUNKS] += 1
-    b.number[c.TARGET] = wanted_tiles(b, s, now_s)
-    for _ in range(s.moves):
-        few, many = b.number[c.LEAVES] < b.number[c.TARGET], b.number[c.LEAVES] > b.number[c.TARGET]
-        worst = -1 if many else _worst(b, s)
-        calmest = -1 if few else _calmest(b)
-        if few and worst >= 0:
-            split(b, s, worst)
-        elif many and calmest >= 0:
-            merge(b, s, calmest)
-        elif worst >= 0 and calmest >= 0:
-            n = b.node_i[calmest]
-            both = b.error[b.node_i[n[c.LEFT], c.PLACE]] + b.error[b.node_i[n[c.RIGHT], c.PLACE]]
-            if b.error[b.node_i[worst, c.PLACE]] <= both or b.node_i[worst, c.PARENT] == calmest:
-                return
-            merge(b, s, calmest)
-            split(b, s, worst)
-        else:
-            return
+    _find_error(b, s, node)
 
 
 def even_tiling(b: Buffers, s: Settings) -> None:

@@ -70,10 +70,9 @@ class FakeRun:
             end_s = self.now_s + count / visits_per_s
             times_s = -np.arange(count - 1, -1, -1) / visits_per_s
             poses = still_poses(self.size_px, end_s, span_s=-count / visits_per_s)
-            rows, job_f, job_i = self.sampler.plan(poses, times_s)
-            found = found_at(rows, poses, self.shown)
-            self.sampler.take_in(poses, times_s, rows, found, job_f, job_i)
+            chunk = self.sampler.plan(poses, times_s)
+            self.sampler.take_in(poses, chunk, found_at(chunk.rows, poses, self.shown))
             if adjust:
                 self.sampler.adjust(end_s)
-            self.rows.append(rows)
+            self.rows.append(chunk.rows)
             self.now_s = end_s

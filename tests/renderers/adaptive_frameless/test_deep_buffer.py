@@ -151,18 +151,16 @@ def test_hidden_crosshairs_are_made_anew_at_their_place_and_counted() -> None:
     run = FakeRun((16, 16), lambda x, y, t: 0.5 + 0 * x, least_tiles=1, least_mean_tile_px=256)
     s, b = run.settings, run.sampler.buffers
     poses = still_poses(run.size_px, 0.1)
-    rows, job_f, job_i = run.sampler.plan(poses, np.array([-0.01, 0.0]))
-    hidden = np.arange(len(rows)) < 3
-    places = {tuple(np.round(b.entry_f[job_i.ravel()[k] % (1 << 30), 5:7], 4)) for k in range(3)}
-    asked = run.sampler.take_in(
-        poses, np.array([-0.01, 0.0]), rows, found_at(rows, poses, run.shown, hidden), job_f, job_i
-    )
-    assert asked == (job_i >= 0).sum()
+    chunk = run.sampler.plan(poses, np.array([-0.01, 0.0]))
+    hidden = np.arange(len(chunk.rows)) < 3
+    places = {tuple(np.round(b.entry_f[chunk.job_i.ravel()[k] % (1 << 30), 5:7], 4)) for k in range(3)}
+    asked = run.sampler.take_in(poses, chunk, found_at(chunk.rows, poses, run.shown, hidden))
+    assert asked == (chunk.job_i >= 0).sum()
     assert b.number[c.WAITING] == 3
-    rows, job_f, job_i = run.sampler.plan(still_poses(run.size_px, 0.2), np.linspace(-0.05, 0, 8))
-    anew = {tuple(np.round(place, 4)) for place in job_f[:3, :2].astype(np.float32)}
+    chunk = run.sampler.plan(still_poses(run.size_px, 0.2), np.linspace(-0.05, 0, 8))
+    anew = {tuple(np.round(place, 4)) for place in chunk.job_f[:3, :2].astype(np.float32)}
     assert anew == places
-    run.sampler.take_in(poses, np.linspace(-0.05, 0, 8), rows, found_at(rows, poses, run.shown), job_f, job_i)
+    run.sampler.take_in(poses, chunk, found_at(chunk.rows, poses, run.shown))
     assert b.node_f[b.leaves[0], c.HIDDEN] == 3
     assert s.lam > 0
 
@@ -172,10 +170,10 @@ def test_crosshairs_follow_the_camera_and_leave_at_the_edge() -> None:
     b = run.sampler.buffers
     poses = still_poses(run.size_px, 0.1, shift_px=4.0)
     times_s = np.zeros(40)
-    rows, job_f, job_i = run.sampler.plan(poses, times_s)
-    chosen = [k for k in job_i.ravel() if k >= 0]
+    chunk = run.sampler.plan(poses, times_s)
+    chosen = [k for k in chunk.job_i.ravel() if k >= 0]
     before = {k % (1 << 30): b.entry_f[k % (1 << 30), 5:7].copy() for k in chosen}
-    run.sampler.take_in(poses, times_s, rows, found_at(rows, poses, run.shown), job_f, job_i)
+    run.sampler.take_in(poses, chunk, found_at(chunk.rows, poses, run.shown))
     moved = gone = 0
     for k, (x, y) in before.items():
         if x + 4 >= 16:

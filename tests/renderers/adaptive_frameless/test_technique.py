@@ -7,7 +7,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from renderers.adaptive_frameless.overlay import tiling_over
+from renderers.adaptive_frameless.overlay import tile_borders
 from renderers.adaptive_frameless.technique import AdaptiveFrameless
 from renderers.adaptive_frameless.traditional import TraditionalFrameless
 from renderers.clip_frames import view_at
@@ -16,6 +16,7 @@ from renderers.parameters import AdaptiveFrameless as Adaptive
 from renderers.parameters import Reference
 from renderers.parameters import TraditionalFrameless as Traditional
 from renderers.reference import ReferenceRenderer
+from stimuli.encode import display_values
 from stimuli.errors import InputError
 from tests.renderers.scenes import SlidingCamera, noise_pixels, quad, scene_of, unlit, velocity_for
 
@@ -117,14 +118,17 @@ def test_debug_pictures_have_the_pictures_size(still: Engine) -> None:
     made, frames = run(still, 4, samples_per_s=20_000.0)
     shown = made.show(views(still, 1)[0])
     assert set(shown) == {
-        "tiling", "gradient.X", "gradient.Y", "gradient.T", "density", "samples", "occlusions", "age",
+        "tiling", "gradients", "gradient.X", "gradient.Y", "gradient.T", "density", "samples", "occlusions", "age",
     }  # fmt: skip
     for name, picture in shown.items():
-        assert picture.shape == (SIZE[1], SIZE[0]), name
+        assert picture.shape == (SIZE[1], SIZE[0], 3)[: 3 if name in ("tiling", "gradients") else 2], name
         assert not np.isnan(picture).any(), name
     # the density over the whole picture is the budget
     assert shown["density"].sum() == pytest.approx(20_000.0, rel=1e-4)
-    assert tiling_over(frames[-1], made.sampler.buffers, made.sampler.settings).max() == 1.0
+    border = tile_borders(made.sampler.buffers, made.sampler.settings)
+    np.testing.assert_array_equal(shown["tiling"][border], 1.0)
+    np.testing.assert_allclose(shown["tiling"][~border], display_values(frames[-1], 1.0)[~border])
+    np.testing.assert_allclose(shown["gradients"].reshape(-1, 3).max(axis=0)[:2], 1.0)
 
 
 @pytest.mark.parametrize("rate", [1e-3, 59.0, 1e6])

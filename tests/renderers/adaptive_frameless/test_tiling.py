@@ -6,16 +6,17 @@ import numpy as np
 import pytest
 
 from renderers.adaptive_frameless import buffers as c
+from renderers.adaptive_frameless.balance import calmest_pair, summed_error, wanted_tiles, worst_tile
 from renderers.adaptive_frameless.buffers import make_buffers
 from renderers.adaptive_frameless.technique import sampler_settings
 from renderers.adaptive_frameless.tiling import (
+    can_split,
     merge,
     split,
     tile_error,
     tile_rectangles,
     undersampling,
     variation,
-    wanted_tiles,
 )
 from renderers.parameters import AdaptiveFrameless
 from tests.renderers.adaptive_frameless.fake_rays import FakeRun
@@ -91,6 +92,22 @@ def test_running_sums_stay_those_of_the_queues(size_px) -> None:
     assert b.number[c.ENTRIES] == b.fill.sum() == len(b.free) - b.number[c.FREE]
     leaves = b.leaves[: b.number[c.LEAVES]]
     np.testing.assert_allclose(b.total[c.W + 3 : c.COUNT], b.node_f[leaves, 3 : c.COUNT].sum(0), rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("size_px", [(64, 48), (33, 70)])
+def test_the_remembered_worst_and_calmest_are_those_of_a_full_search(size_px) -> None:
+    run = FakeRun(size_px, busy, least_mean_tile_px=8, least_tiles=16, i=0.01)
+    s, b = run.settings, run.sampler.buffers
+    most = 0
+    for _ in range(60):
+        run.run(25)
+        tiles, pairs = b.leaves[: b.number[c.LEAVES]], b.pairs[: b.number[c.PAIRS]]
+        most = max(most, len(tiles))
+        errors = [b.error[k] for k, tile in enumerate(tiles) if can_split(b, s, tile)]
+        found = worst_tile(b, s)
+        assert b.error[b.node_i[found, c.PLACE]] == max(errors)
+        assert summed_error(b, calmest_pair(b)) == min(summed_error(b, pair) for pair in pairs)
+    assert most > 4 * c.BLOCK
 
 
 def test_variance_is_weighted_by_age() -> None:
@@ -174,7 +191,7 @@ def test_wanted_tiles_solve_the_papers_equation() -> None:
 
 
 def test_an_empty_tile_is_undersampled_only_beyond_m_times_the_mean() -> None:
-    settings = sampler_settings((8, 8), AdaptiveFrameless(least_tiles=1), 1.0)
+    settings = sampler_settings((8, 8), AdaptiveFrameless(least_tiles=1, m=2.0), 1.0)
     b = make_buffers(settings, 4)
     b.number[c.ENTRIES] = 192  # a quarter of 256 places empty
     for count, wanted in ((128, 0.0), (64, 0.25), (0, 0.5), (256, 0.0)):
@@ -182,23 +199,49 @@ def test_an_empty_tile_is_undersampled_only_beyond_m_times_the_mean() -> None:
         assert undersampling(b, settings, 0) == pytest.approx(wanted)
 
 
-def test_the_error_is_the_weighted_sum_of_shares() -> None:
-    settings = sampler_settings((8, 8), AdaptiveFrameless(least_tiles=1, kappa=0.3, lambda_=0.1), 1.0)
+@pytest.mark.parametrize(("area_power", "size"), [(0.0, 1.0), (0.5, 8.0), (1.0, 64.0)])
+def test_the_error_is_the_weighted_sum_of_shares(area_power: float, size: float) -> None:
+    p = AdaptiveFrameless(least_tiles=1, kappa=0.3, lambda_=0.1, m=2.0, area_power=area_power)
+    settings = sampler_settings((8, 8), p, 1.0)
     b = make_buffers(settings, 4)
     b.node_f[0, c.W], b.node_f[0, c.WL], b.node_f[0, c.WLL] = 2.0, 1.0, 1.5  # variance 0.5
     b.node_f[0, c.HIDDEN] = 64  # a quarter of the places
     b.number[c.ENTRIES] = 256
-    b.total[c.SUM_V], b.total[c.SUM_U], b.total[c.SUM_O] = 5.0, 2.0, 0.5
+    b.total[c.SUM_V], b.total[c.SUM_U], b.total[c.SUM_O] = 5.0 * size, 2.0 * size, 0.5 * size
     wanted = 0.6 * 0.5 / 5 + 0.3 * 1.0 / 2 + 0.1 * 0.25 / 0.5
     assert tile_error(b, settings, 0) == pytest.approx(wanted, abs=2e-6)
     b.total[c.SUM_V] = b.total[c.SUM_U] = b.total[c.SUM_O] = 0.0
     assert tile_error(b, settings, 0) < 2e-6
 
 
-def test_a_black_picture_keeps_even_tiles() -> None:
-    run = FakeRun((64, 64), lambda x, y, t: np.zeros_like(x))
+def test_tiles_are_shared_out_by_the_amount_of_variation() -> None:
+    """Splitting texture never lowers its variance: without its area it takes every tile from a calmer half."""
+
+    def two_textures(x, y, t):
+        noise = np.sin(12.9 * np.floor(x) + 78.2 * np.floor(y))
+        return 0.5 + np.where(x < 32, 0.45, 0.225) * noise
+
+    share = {}
+    for power in (0.0, 1.0):
+        run = FakeRun((64, 64), two_textures, least_mean_tile_px=16, area_power=power, i=0.01, kappa=0.0)
+        run.run(6000)
+        share[power] = (tile_rectangles(run.sampler.buffers)[:, 0] >= 32).mean()
+    assert share[0.0] < 0.1
+    assert share[1.0] == pytest.approx(1 / 5, abs=0.06)  # a quarter of the variance
+
+
+def test_a_black_picture_keeps_even_tiles_where_only_variation_counts() -> None:
+    run = FakeRun((64, 64), lambda x, y, t: np.zeros_like(x), kappa=0.0)
     run.run(2000)
     boxes = tile_rectangles(run.sampler.buffers)
     area = (boxes[:, 2] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 1])
     assert area.max() <= 2 * area.min()
+
+
+def test_a_black_picture_is_sampled_evenly() -> None:
+    run = FakeRun((64, 64), lambda x, y, t: np.zeros_like(x))
+    run.run(4000)
+    begun = np.concatenate(run.rows)[5::6]
+    counts = np.histogram2d(begun[:, 0], begun[:, 1], bins=4, range=((0, 64), (0, 64)))[0]
+    assert np.abs(counts / counts.mean() - 1).max() < 0.35
     assert np.isfinite(run.sampler.buffers.error).all()
