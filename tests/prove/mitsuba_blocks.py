@@ -2,8 +2,8 @@
 blocks. ``python -m tests.prove.mitsuba_blocks [SCENE ...]`` writes evidence/mitsuba_blocks_SCENE.json and pictures.
 
 Both sides estimate the same integral: the pixel's square (box filter), jittered, textures at level 0 and bilinear. Each
-side is 64 independent renders, of 16 samples (Mitsuba's, random) and of 4 (ours, quasi-random: its standard error is
-the smaller one nevertheless, see ``our_share``); their spread gives each block's standard error.
+side is 64 independent renders, of 16 samples (Mitsuba's, random: 1,024 in all) and of 4 (ours, quasi-random: 256);
+their spread gives each block's standard error. ``our_share``: in how many blocks ours is the smaller.
 
 Materials that both can express: diffuse colour times texture, or a perfect mirror of the file's specular colour. No
 highlight, no transmission, no cut-outs, and not both at once: Mitsuba 3.9.1's `blendbsdf` of a diffuse and a mirror
