@@ -74,8 +74,8 @@ def live_sizes(
     """Median and 95th percentile milliseconds a refresh (picture on the host included) at each size.
 
     What a small size saves is less than its pixels: with the same field of view its rays lie farther apart, so packets
-    part sooner. On tunnel_geom one core took 0.17 us a traced pixel at 960x540, 0.28 at 480x270, 0.36 at 320x180, 0.56 at
-    160x90 (shadow ray included); Python took 0.4 ms a refresh at every size, the size of Dr.Jit's blocks made no odds.
+    part sooner. On tunnel_geom one core took 0.17 us a traced pixel at 960x540, 0.28 at 480x270, 0.36 at 320x180 and
+    0.56 at 160x90 (shadow ray included). Python took 0.4 ms a refresh at every size.
     """
     engine, params = Engine(scene), technique_params("temporally_dense", {})
     found = {}
