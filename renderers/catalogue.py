@@ -25,6 +25,7 @@ class Entry:
     techniques may not stand side by side. ``framed``: full frames at any content rate. ``stateless``: a frame follows
     from its view alone, so a clip may be divided among workers. ``averages``: frames are means of ``spp`` samples.
     ``counts_samples``: its frames say how often each pixel was sampled.
+    ``own_times``: each sample has a time of its own, so meshes that change their shape are refused.
     ``density``: module of ``picture_probability``, how likely each pixel is traced in a frame; ``density_params``: the
     parameters that it hangs on.
     """
@@ -41,6 +42,7 @@ class Entry:
     stateless: bool = False
     averages: bool = False
     counts_samples: bool = False
+    own_times: bool = False
     density: str = ""
     density_params: tuple[str, ...] = ()
 
@@ -143,6 +145,7 @@ _ENTRIES: tuple[Entry, ...] = (
             "filter_volume": (2.0, 4.0, 8.0),
             "reprojected": (0, 5),
         },
+        own_times=True,
     ),
     Entry(
         name="traditional_frameless",
@@ -152,6 +155,7 @@ _ENTRIES: tuple[Entry, ...] = (
         class_name="TraditionalFrameless",
         knobs={"samples_per_s": (1e5, 4e5, 8e5, 1.6e6, 3.2e6, 6.4e6)},
         baseline=True,
+        own_times=True,
     ),
     Entry(
         name="polar",

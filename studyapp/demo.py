@@ -15,6 +15,7 @@ from pathlib import Path
 
 from ruamel.yaml import YAML
 
+from renderers.catalogue import CATALOGUE
 from stimuli.errors import InputError, problem
 from studyapp.cli import JobFailed
 from studyapp.clock import now_ns
@@ -37,10 +38,11 @@ def protocol_text() -> str:
     return (files("protocols") / "library" / "demo.yaml").read_text()
 
 
-def protocol_for(scene: Path, animation: str | None, moves: bool, duration_s: float) -> str:
+def protocol_for(scene: Path, animation: str | None, moves: bool, duration_s: float, deforms: bool = False) -> str:
     """The demo protocol with three stretches of one scene file in place of the embedded scenes.
 
-    A file that does not move is seen from a swaying camera; one that does at three times of its animation.
+    A file that does not move is seen from a swaying camera; one that does at three times of its animation. Where
+    meshes change their shape (``deforms``), the techniques whose samples have times of their own are left out.
     """
     yaml = YAML()
     study = yaml.load(protocol_text())
@@ -56,6 +58,14 @@ def protocol_for(scene: Path, animation: str | None, moves: bool, duration_s: fl
             entry["animation"] = animation
         replaced[name] = entry
     study["scenes"] = replaced
+    if deforms:
+        left_out = {name for name, entry in CATALOGUE.items() if entry.own_times}
+        side_by_side = (n for n, entry in CATALOGUE.items() if not entry.gaze_contingent and n != "reference")
+        study["techniques"] = [name for name in side_by_side if name not in left_out]
+        for block in study["blocks"]:
+            conditions = block.get("factors", {}).get("condition")
+            if conditions:
+                conditions[:] = [name for name in conditions if name not in left_out]
     text = io.StringIO()
     yaml.dump(study, text)
     renamed = text.getvalue().replace("luminance_limit: 0.25", "luminance_limit: 1.0")  # any scene; the report shows it
@@ -109,7 +119,8 @@ def run_demo(request: DemoRequest) -> Path:
         scene = load_scene(str(request.scene), animation=request.animation)
         for note in scene.notes:
             print(f"demo: {request.scene.name}: {note}")
-        protocol.write_text(protocol_for(request.scene, request.animation, scene.duration_s > 0, scene.duration_s))
+        text = protocol_for(request.scene, request.animation, scene.duration_s > 0, scene.duration_s, bool(scene.skins))
+        protocol.write_text(text)
     store, data = out / "clips", out / "data"
     for old in data.glob("*.sqlite*"):
         old.unlink()
