@@ -55,7 +55,10 @@ def blend(
     if "light" not in cached:
         return out | {"shown": blended(cached["shown"], sample["color"], alpha)}, alpha
     k = (p.light_k_min, p.light_k_max)
-    alpha_light, out["rho_light"] = weights(cached["rho_light"], cached["age"], *k, t_max, overwrite)
+    if k == (p.k_min, p.k_max):  # the same recursion: both count the same samples
+        alpha_light, out["rho_light"] = alpha, rho
+    else:
+        alpha_light, out["rho_light"] = weights(cached["rho_light"], cached["age"], *k, t_max, overwrite)
     for name, weight in (("surface", alpha), ("albedo", alpha), ("light", alpha_light)):
         out[name] = blended(cached[name], sample[name], weight)
     # where nothing is blended, the sample's own colour to the last bit

@@ -13,6 +13,7 @@ import math
 import os
 import statistics
 import sys
+import time
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -58,29 +59,39 @@ def viewports(scale: float) -> tuple[Viewport, ...]:
 
 
 def frame_times(scene: Scene, scale: float, samples: int, frames: int) -> dict[str, float]:
-    """Median seconds of a frame and rays of both renders of the four viewports, probes included."""
+    """Median seconds of a frame and rays of both renders of the four viewports, probes included.
+
+    On a machine that does other work too, CPU time says more than the clock; the load average stands beside them.
+    """
     engine, panels = Engine(scene, lighting="probes"), viewports(scale)
     polar = Polar(engine, panels[0].size_px, PolarParameters(quality=samples, dynamic_width=False), 0, "total")
     plain = Engine(scene, lighting="probes")
     light = VanillaParameters(light_samples=samples)
     cartesian = [Vanilla(plain, panel.size_px, light, 0, "total") for panel in panels]
     seconds: dict[str, list[float]] = {"polar": [], "cartesian": []}
+    cpu_s: dict[str, list[float]] = {"polar": [], "cartesian": []}
     rays = {}
     for k in range(frames + 1):  # the first records kernels and settles the probes
         view = view_at(k, RATE, START_S, panels[0].size_px, scene.camera, GAZE)
+        began = time.process_time()
         frame = polar.render(replace(view, viewports=panels))
+        cpu_s["polar"].append(time.process_time() - began)
         seconds["polar"].append(frame.seconds["total"])
         rays["polar"] = frame.rays["primary"]
         total, count = 0.0, 0
+        began = time.process_time()
         for panel, technique in zip(panels, cartesian, strict=True):
             pose = scene.camera.pose(np.array([float(view.t1)]))[0]
             pose[:3, 3] += pose[:3, 0] * panel.eye_offset_m
             seen = technique.render(replace(view, size_px=panel.size_px, camera=StillCamera(pose, panel.yfov_rad)))
             total, count = total + seen.seconds["total"], count + seen.rays["primary"]
+        cpu_s["cartesian"].append(time.process_time() - began)
         seconds["cartesian"].append(total)
         rays["cartesian"] = count
     found = {f"{name}_ms": 1000 * statistics.median(values[1:]) for name, values in seconds.items()}
     found |= {f"{name}_rays": float(value) for name, value in rays.items()}
+    found |= {f"{name}_cpu_ms": 1000 * statistics.median(values[1:]) for name, values in cpu_s.items()}
+    found["less_cpu_time"] = found["cartesian_cpu_ms"] / found["polar_cpu_ms"]
     found["faster"] = found["cartesian_ms"] / found["polar_ms"]
     found["load"] = os.getloadavg()[0]
     found["fewer_rays"] = found["cartesian_rays"] / found["polar_rays"]
