@@ -1,7 +1,7 @@
 """The new picture in one pass (Weier et al. 2016, 3.2 and 3.4): last frame's pixels, holes, and this frame's samples.
 
-A pass for what is carried over and another for the samples took 1.4 times as long: a sample's pixel has its own cache
-lines in every buffer.
+A pass for what is carried over and another for the samples took 1.3 (area light) to 1.4 times as long (point light): a
+sample's pixel has its own cache lines in every buffer. Samples packed like the cache saved nothing.
 """
 
 from __future__ import annotations

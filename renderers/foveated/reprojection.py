@@ -72,8 +72,7 @@ def look(
     """The reprojected picture at support resolution: (world depth, luma, edge, 1 where there is something), packed.
 
     Luma is that of the texel's mean colour, the coarse picture's filter: 3x3 taps of the last picture around its place
-    there. (Its footprint pixel by pixel, each by its own place, took twice as long.) Background is as far as
-    `BACKGROUND`, where window depth still resolves 1 %.
+    there. Background is as far as `BACKGROUND`, where window depth still resolves 1 %.
     """
     here = dr.gather(mi.Vector2f, place, texel_pixel)
     seen = was_seen(here, grid.width, grid.height)

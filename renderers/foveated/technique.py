@@ -160,9 +160,11 @@ class Foveated:
     ) -> tuple[dict[str, Any], dict[str, Any], Any, Any]:
         """A sample a lane, packed; those of the support image are written there too, with the G-buffer.
 
-        Lanes keep the 8x8 tile order, and rays their coherent mode, although 84 % of the pixels are missing: 120 ms
-        (274k lanes, point light, loaded machine) against 139 to 154 in tiles of 4, 16, 32 and Morton order, 232 if not
-        coherent.
+        Lanes keep the order of full pictures, and rays their coherent mode, although 84 % of the pixels are missing: a
+        ray costs 2.1 (primary), 1.5 (shadow) times what it costs there. CPU time of tunnel_geom, point light, 272k
+        lanes: 52 ms; no other order (tiles of 4 to 128, Z curve) is more than 3 % faster; shadow rays not coherent 60;
+        primary rays not coherent twice their time; rays that end a little behind the reprojected depth, and go on where
+        nothing was there, 4 to 15 % more; the support image is free.
         """
         width = self.size_px[0]
         y = pixel // width
