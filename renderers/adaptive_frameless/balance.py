@@ -10,8 +10,8 @@ from renderers.adaptive_frameless import buffers as c
 from renderers.adaptive_frameless.buffers import Buffers, Settings
 from renderers.adaptive_frameless.tiling import can_split, merge, move_epoch, split, sum_errors
 
-ERRORS_EVERY = 32
-"""Chunks between two sums of all tiles' errors, which normalise them."""
+ERRORS_EVERY = 16
+"""Chunks between two sums of all tiles' errors, which normalise them; more where there are many tiles to sum."""
 
 
 @njit(cache=True)
@@ -47,7 +47,7 @@ def worst_tile(b: Buffers, s: Settings) -> int:
     return found
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def summed_error(b: Buffers, node: int) -> float:
     """Of the two tiles under ``node``."""
     n = b.node_i[node]
@@ -78,7 +78,7 @@ def calmest_pair(b: Buffers) -> int:
 def adjust(b: Buffers, s: Settings, now_s: float) -> None:
     """After a chunk: move towards the wanted number of tiles, and split the worst and merge the calmest pair."""
     move_epoch(b, s, now_s)
-    if b.number[c.CHUNKS] % ERRORS_EVERY == 0:
+    if b.number[c.CHUNKS] % max(ERRORS_EVERY, b.number[c.LEAVES] // 32) == 0:
         sum_errors(b, s)
     b.number[c.CHUNKS] += 1
     b.number[c.TARGET] = wanted_tiles(b, s, now_s)

@@ -12,7 +12,7 @@ from renderers.adaptive_frameless.buffers import Buffers, Settings
 from renderers.adaptive_frameless.tiling import add_entry
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def new_entry(b: Buffers) -> int:
     """The number of an unused entry. There is one whenever the caller made room in the queue it goes to."""
     b.number[c.FREE] -= 1
@@ -23,7 +23,7 @@ def new_entry(b: Buffers) -> int:
     return entry
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def _forget(b: Buffers, entry: int) -> None:
     b.entry_i[entry, c.PIXEL] = -1
     b.entry_i[entry, c.ASKED] = 0
@@ -31,7 +31,7 @@ def _forget(b: Buffers, entry: int) -> None:
     b.number[c.FREE] += 1
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def take_out(b: Buffers, s: Settings, entry: int) -> None:
     """Remove ``entry`` from its queue and from its tile's sums; it stays usable."""
     pixel = b.entry_i[entry, c.PIXEL]
@@ -45,14 +45,14 @@ def take_out(b: Buffers, s: Settings, entry: int) -> None:
     add_entry(b, s, entry, -1.0)
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def remove(b: Buffers, s: Settings, entry: int) -> None:
     """Take ``entry`` out and forget it."""
     take_out(b, s, entry)
     _forget(b, entry)
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def make_room(b: Buffers, s: Settings, pixel: int) -> None:
     """Drop the entry at the back of a full queue."""
     if b.fill[pixel] == s.depth:
@@ -90,7 +90,7 @@ def push_back(b: Buffers, s: Settings, entry: int, pixel: int) -> None:
     add_entry(b, s, entry, 1.0)
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def put_in_stream(
     b: Buffers, time_s: float, red: float, green: float, blue: float, px: float, py: float, pz: float, mover: int,
     x: float, y: float,

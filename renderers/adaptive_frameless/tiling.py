@@ -19,7 +19,7 @@ EPOCH_S = 2.0
 """How often the common epoch of the weights moves: weights then span a factor of a thousand at most."""
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def add_entry(b: Buffers, s: Settings, entry: int, sign: float) -> None:
     """Count (sign 1) or uncount (-1) ``entry`` in the tile of its pixel and in the whole picture's sums."""
     node = b.leaf_of[b.entry_i[entry, c.PIXEL]]
@@ -31,7 +31,7 @@ def add_entry(b: Buffers, s: Settings, entry: int, sign: float) -> None:
     _find_error(b, s, node)
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def _add_to(b: Buffers, s: Settings, node: int, entry: int, sign: float, everywhere: bool) -> None:
     weight = sign * math.exp(s.decay_per_s * (b.entry_t[entry] - b.total[c.EPOCH]))
     f, e = b.node_f[node], b.entry_f[entry]
@@ -88,7 +88,7 @@ def move_epoch(b: Buffers, s: Settings, now_s: float) -> None:
     b.total[c.EPOCH] = now_s
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def variation(b: Buffers, node: int) -> float:
     """v_tile: the weighted variance of luma in the tile's block; 0 where it is empty."""
     f = b.node_f[node]
@@ -98,14 +98,14 @@ def variation(b: Buffers, node: int) -> float:
     return max(0.0, f[c.WLL] / f[c.W] - mean * mean)
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def tile_area(b: Buffers, node: int) -> int:
     """Pixels of a tile."""
     n = b.node_i[node]
     return (n[c.X1] - n[c.X0]) * (n[c.Y1] - n[c.Y0])
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def undersampling(b: Buffers, s: Settings, node: int) -> float:
     """u_tile: by how much the tile's share of empty places exceeds ``m`` times that of the whole buffer."""
     empty_tile = 1.0 - b.node_f[node, c.COUNT] / (tile_area(b, node) * s.depth)
@@ -113,16 +113,16 @@ def undersampling(b: Buffers, s: Settings, node: int) -> float:
     return max(0.0, empty_tile - s.m * empty_buffer)
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def _terms(b: Buffers, s: Settings, node: int) -> tuple[float, float, float]:
     """Variation, undersampling and occlusions of a tile, each times area ** ``area_power``."""
     area = tile_area(b, node)
-    size = float(area) ** s.area_power
+    size = float(area) if s.area_power == 1.0 else float(area) ** s.area_power  # a power costs as much as the rest
     hidden = b.node_f[node, c.HIDDEN] / (area * s.depth)
     return variation(b, node) * size, undersampling(b, s, node) * size, hidden * size
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def tile_error(b: Buffers, s: Settings, node: int) -> float:
     """E_tile from variation, undersampling and occlusions, each over its sum over all tiles when last summed.
 
@@ -139,7 +139,7 @@ def tile_error(b: Buffers, s: Settings, node: int) -> float:
     return error
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def _find_error(b: Buffers, s: Settings, node: int) -> None:
     place = b.node_i[node, c.PLACE]
     b.error[place] = tile_error(b, s, node)
@@ -188,7 +188,7 @@ def _add_pair(b: Buffers, node: int) -> None:
     b.number[c.PAIRS] += 1
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def can_split(b: Buffers, s: Settings, node: int) -> bool:
     """Whether both halves of a tile would have at least ``least_tile_px`` pixels."""
     n = b.node_i[node]

@@ -52,7 +52,7 @@ class Poses(NamedTuple):
     t1_s: float
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def _world(p: Poses, mover: int, x: float, y: float, z: float, time_s: float, pose: np.ndarray) -> tuple:
     if mover == 0:
         return x, y, z
@@ -142,7 +142,7 @@ def plan(
                 row[3], row[4], row[5], row[6], row[7] = wx, wy, wz, time_s, 1.0
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def hit(found: np.ndarray, sample: int) -> tuple:
     """A result row's place in its mover's space, and the mover."""
     f = found[sample]
