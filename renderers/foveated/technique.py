@@ -36,6 +36,8 @@ from renderers.vanilla import Vanilla, frame_seed, ray_counts
 from stimuli.errors import InputError, problem
 
 T_MAX_S = Fraction(213, 1000)
+FARTHEST = 1e30
+"""World units that stand for the infinite depth of a miss where it lies beside a colour."""
 FOVEA = 2.0
 """Stands for the probability of a pixel of the fovea, whose sample is shown as it is."""
 _DRAW, _TAPS, _FILTER = 0x1B873593, 0xCC9E2D51, 0xE6546B64
@@ -170,7 +172,7 @@ class Foveated:
         y = pixel // width
         ray = self.engine.camera_ray(state, mi.Float(pixel - y * width) + 0.5, mi.Float(y) + 0.5)
         got = self.engine.sample(state, ray, rng=combined(seed, pixel), light_samples=self.params.light_samples)
-        values = {"color": (got.color, got.z)}
+        values = {"color": (got.color, dr.minimum(got.z, FARTHEST))}
         if self.noisy:
             for name in self._names:
                 value = getattr(got, name)
