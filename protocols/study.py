@@ -17,7 +17,7 @@ from protocols.observer_model import ObserverModel
 from protocols.participants import Participants
 from protocols.quantity import Model, Name, Text
 from protocols.question import QuestionSpec
-from renderers.catalogue import CATALOGUE
+from renderers.catalogue import side_by_side
 
 
 class Deviation(Model):
@@ -73,7 +73,7 @@ class Study(Model):
         """The techniques of the ``techniques`` line; all_side_by_side: those of the catalogue that do not follow the
         gaze, without the reference itself."""
         if self.techniques == "all_side_by_side":
-            return tuple(n for n, entry in CATALOGUE.items() if not entry.gaze_contingent and n != "reference")
+            return side_by_side()
         return tuple(self.techniques or ())
 
     def all_conditions(self) -> Mapping[str, Condition]:

@@ -189,6 +189,11 @@ def sampling_probability(
     return import_module(module).picture_probability(params, size_px, 1.0, geometry, gaze)
 
 
+def side_by_side() -> tuple[str, ...]:
+    """The techniques that may stand beside each other: those that do not follow the gaze, without the reference."""
+    return tuple(name for name, entry in CATALOGUE.items() if not entry.gaze_contingent and name != "reference")
+
+
 class _Techniques(Mapping[str, type[Technique]]):
     """name -> class; the class's module is imported when it is first asked for."""
 

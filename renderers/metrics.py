@@ -46,11 +46,11 @@ def psnr_db(error: float) -> float:
     return math.inf if error == 0 else -20.0 * math.log10(error)
 
 
-def flip_map(test: np.ndarray, reference: np.ndarray, pixels_per_degree: float) -> np.ndarray:
-    """(H, W) LDR-FLIP of two sRGB pictures, in [0, 1] (Andersson et al. 2020)."""
+def _flip(test: np.ndarray, reference: np.ndarray, pixels_per_degree: float) -> tuple[np.ndarray, float]:
+    """The map and the mean of LDR-FLIP (Andersson et al. 2020) of two sRGB pictures."""
     import flip_evaluator  # compiled, only needed here
 
-    found, _, _ = flip_evaluator.evaluate(
+    found, mean, _ = flip_evaluator.evaluate(
         np.ascontiguousarray(reference, np.float32),
         np.ascontiguousarray(test, np.float32),
         "LDR",
@@ -59,23 +59,17 @@ def flip_map(test: np.ndarray, reference: np.ndarray, pixels_per_degree: float) 
         computeMeanError=True,
         parameters={"ppd": float(pixels_per_degree)},
     )
-    return np.asarray(found).reshape(test.shape[:2])
+    return np.asarray(found).reshape(test.shape[:2]), float(mean)
+
+
+def flip_map(test: np.ndarray, reference: np.ndarray, pixels_per_degree: float) -> np.ndarray:
+    """(H, W) LDR-FLIP of two sRGB pictures, in [0, 1] (Andersson et al. 2020)."""
+    return _flip(test, reference, pixels_per_degree)[0]
 
 
 def flip(test: np.ndarray, reference: np.ndarray, pixels_per_degree: float) -> float:
     """Mean LDR-FLIP of two sRGB pictures (Andersson et al. 2020)."""
-    import flip_evaluator  # compiled, only needed here
-
-    _, mean, _ = flip_evaluator.evaluate(
-        np.ascontiguousarray(reference, np.float32),
-        np.ascontiguousarray(test, np.float32),
-        "LDR",
-        inputsRGB=True,
-        applyMagma=False,
-        computeMeanError=True,
-        parameters={"ppd": float(pixels_per_degree)},
-    )
-    return float(mean)
+    return _flip(test, reference, pixels_per_degree)[1]
 
 
 def pixels_per_degree(width_px: int, height_px: int, yfov_rad: float, geometry: ViewGeometry | None) -> float:

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from ruamel.yaml import YAML
 
-from renderers.catalogue import CATALOGUE
+from renderers.catalogue import CATALOGUE, side_by_side
 from stimuli.errors import InputError, problem
 from studyapp.cli import JobFailed
 from studyapp.clock import now_ns
@@ -60,8 +60,7 @@ def protocol_for(scene: Path, animation: str | None, moves: bool, duration_s: fl
     study["scenes"] = replaced
     if deforms:
         left_out = {name for name, entry in CATALOGUE.items() if entry.own_times}
-        side_by_side = (n for n, entry in CATALOGUE.items() if not entry.gaze_contingent and n != "reference")
-        study["techniques"] = [name for name in side_by_side if name not in left_out]
+        study["techniques"] = [name for name in side_by_side() if name not in left_out]
         for block in study["blocks"]:
             conditions = block.get("factors", {}).get("condition")
             if conditions:

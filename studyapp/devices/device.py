@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable
 
@@ -16,6 +16,14 @@ from studyapp.seams import Press
 SILENCE_LIMIT_S = 0.2
 """A stream of known rate that is silent for so long has vanished (a session must notice within 250 ms); a device's
 option ``silence_s`` replaces it. A line that is closed is noticed at once, whatever the limit."""
+
+
+def mapped_gaze(rows: Sequence[tuple[Any, ...]], fit: ClockFit | None) -> np.ndarray:
+    """Rows of GAZE_DTYPE, with device stamps on the session's clock where there is a fit, never after their arrival."""
+    gaze = np.array(rows, GAZE_DTYPE) if rows else np.zeros(0, GAZE_DTYPE)
+    if len(gaze) and fit is not None:
+        gaze["mapped_ns"] = np.minimum(fit.session_ns_many(gaze["device_s"]), gaze["host_ns"])
+    return gaze
 
 
 def silence_limit_s(spec: DeviceSpec) -> float:

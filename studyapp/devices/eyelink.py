@@ -11,10 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from protocols.records import GAZE_DTYPE
 from studyapp.clock import now_ns
 from studyapp.devices.clock_model import ClockFit, ClockModel
-from studyapp.devices.device import Batch, DeviceGone, DeviceSpec, silence_limit_s
+from studyapp.devices.device import Batch, DeviceGone, DeviceSpec, mapped_gaze, silence_limit_s
 
 DEFAULT_PORT = "100.1.1.1"
 MISSING = -32768.0
@@ -92,14 +91,11 @@ class EyeLink:
             raise DeviceGone(f"eyelink {self._address}: {error}") from error
         if not rows and now_ns() - self._last_ns > silence_limit_s(self._spec) * 1e9:
             raise DeviceGone(f"eyelink {self._address}: silent for {(now_ns() - self._last_ns) * 1e-9:.2f} s")
-        gaze = np.array(rows, GAZE_DTYPE) if rows else np.zeros(0, GAZE_DTYPE)
-        if len(gaze) and self._fit is not None:
-            gaze["mapped_ns"] = np.minimum(self._fit.session_ns_many(gaze["device_s"]), gaze["host_ns"])
-        return Batch(gaze=gaze)
+        return Batch(gaze=mapped_gaze(rows, self._fit))
 
     def _ask_time(self) -> None:
         asked_ns = now_ns()
-        if asked_ns - self._asked_ns < (1e8 if len(self._clock) < 10 else 1e9):
+        if asked_ns - self._asked_ns < self._clock.ask_again_ns:
             return
         self._asked_ns = asked_ns
         device_s = float(self._tracker.trackerTimeUsec()) * 1e-6

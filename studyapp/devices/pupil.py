@@ -132,7 +132,7 @@ class PupilCore:
             self._clock.round_trip(float(self._remote.recv_string()), self._asked_ns, answered_ns)
             self._waiting = False
             self._fit = self._clock.fit()
-        elif not self._waiting and now_ns() - self._asked_ns > (1e8 if len(self._clock) < 10 else 1e9):
+        elif not self._waiting and now_ns() - self._asked_ns > self._clock.ask_again_ns:
             self._asked_ns, self._waiting = now_ns(), True
             self._remote.send_string("t")
 

@@ -13,10 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from protocols.records import GAZE_DTYPE
 from studyapp.clock import now_ns
 from studyapp.devices.clock_model import ClockFit, ClockModel
-from studyapp.devices.device import Batch, DeviceGone, DeviceSpec, silence_limit_s
+from studyapp.devices.device import Batch, DeviceGone, DeviceSpec, mapped_gaze, silence_limit_s
 
 HELD = 1 << 14  # samples between two polls; the oldest fall out beyond (3 s at 5 kHz)
 EYES = (("left", 1), ("right", 2))
@@ -82,14 +81,11 @@ class TobiiPro:
             rows.append((device_s, host_ns, host_ns, float(x_dva), float(y_dva), pupil, valid, eye))
         if not rows and now_ns() - self._last_ns > silence_limit_s(self._spec) * 1e9:
             raise DeviceGone(f"tobii {self._spec.port}: silent for {(now_ns() - self._last_ns) * 1e-9:.2f} s")
-        gaze = np.array(rows, GAZE_DTYPE) if rows else np.zeros(0, GAZE_DTYPE)
-        if len(gaze) and self._fit is not None:
-            gaze["mapped_ns"] = np.minimum(self._fit.session_ns_many(gaze["device_s"]), gaze["host_ns"])
-        return Batch(gaze=gaze)
+        return Batch(gaze=mapped_gaze(rows, self._fit))
 
     def _ask_time(self) -> None:
         asked_ns = now_ns()
-        if asked_ns - self._asked_ns < (1e8 if len(self._clock) < 10 else 1e9):
+        if asked_ns - self._asked_ns < self._clock.ask_again_ns:
             return
         self._asked_ns = asked_ns
         device_s = self._sdk.get_system_time_stamp() * 1e-6
