@@ -6,6 +6,8 @@ from fractions import Fraction
 
 import numpy as np
 
+from protocols.trial import Panel, Trial
+from studyapp.display.choose import open_display
 from studyapp.seams import Display, Press
 
 
@@ -57,3 +59,25 @@ class ScriptedResponder:
 
     def alive(self) -> bool:
         return self.there
+
+
+def trial(*slots: str, duration_s: float = 0.25, fixation: str = "free") -> Trial:
+    """Panels in these slots, side by side."""
+    panels = tuple(Panel(slot, "c", "t") for slot in slots)
+    return Trial(0, "b", "side_by_side", panels=panels, duration_s=duration_s, fixation=fixation)
+
+
+class Watched:
+    """An off-screen display that keeps a pixel of every panel at each flip."""
+
+    def __init__(self, points: list[tuple[int, int]]) -> None:
+        self._display = open_display("offscreen", (320, 60), 120)
+        self.points, self.seen = points, []
+
+    def __getattr__(self, name: str):
+        return getattr(self._display, name)
+
+    def flip(self):
+        picture = self._display.read_pixels()
+        self.seen.append([picture[y, x].tolist() for x, y in self.points])
+        return self._display.flip()

@@ -11,42 +11,21 @@ import numpy as np
 import pytest
 
 from protocols.records import FLIP_OFFSET, FLIP_ONSET
-from protocols.trial import Panel, Question, Trial
+from protocols.trial import Question
 from stimuli.errors import InputError
 from studyapp.display.choose import open_display
 from studyapp.display.virtual_display import Fault, VirtualDisplay, random_faults
 from studyapp.present.frame_loop import undisturbed
 from studyapp.present.presenter import KeptFlips, Presenter
-from tests.studyapp.clips import NumberedClip, ScriptedResponder
+from tests.studyapp.clips import NumberedClip, ScriptedResponder, Watched, trial
 
 CHOICE = Question("q", "Which?", "choice", ("left", "right"), keys={"a": "left", "b": "right"})
-
-
-def trial(*slots: str, duration_s: float = 0.25, fixation: str = "free") -> Trial:
-    panels = tuple(Panel(slot, "c", "t") for slot in slots)
-    return Trial(0, "b", "side_by_side", panels=panels, duration_s=duration_s, fixation=fixation)
 
 
 def stimulus(rows: np.ndarray) -> np.ndarray:
     """Rows from onset to before the offset."""
     onset, offset = np.flatnonzero(rows["flags"] & FLIP_ONSET)[0], np.flatnonzero(rows["flags"] & FLIP_OFFSET)[-1]
     return rows[onset:offset]
-
-
-class Watched:
-    """An off-screen display that keeps a pixel of every panel at each flip."""
-
-    def __init__(self, points: list[tuple[int, int]]) -> None:
-        self._display = open_display("offscreen", (320, 60), 120)
-        self.points, self.seen = points, []
-
-    def __getattr__(self, name: str):
-        return getattr(self._display, name)
-
-    def flip(self):
-        picture = self._display.read_pixels()
-        self.seen.append([picture[y, x].tolist() for x, y in self.points])
-        return self._display.flip()
 
 
 @pytest.mark.parametrize("policy", ["skip", "hold"])

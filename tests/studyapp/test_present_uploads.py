@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from protocols.records import FLIP_LIGHT_PATCH
-from protocols.trial import Panel, Trial
+from protocols.trial import Trial
 from renderers.technique import ViewGeometry
 from stimuli.errors import InputError
 from studyapp.display.choose import open_display
@@ -18,28 +18,7 @@ from studyapp.present import uploader
 from studyapp.present.admission import UploadBudget, admit, measure_upload
 from studyapp.present.presenter import KeptFlips, Presenter
 from studyapp.trial import Person, Rules, TrialRunner
-from tests.studyapp.clips import NumberedClip
-
-
-def trial(*slots: str, duration_s: float = 0.25, fixation: str = "free") -> Trial:
-    panels = tuple(Panel(slot, "c", "t") for slot in slots)
-    return Trial(0, "b", "side_by_side", panels=panels, duration_s=duration_s, fixation=fixation)
-
-
-class Watched:
-    """An off-screen display that keeps a pixel of every panel at each flip."""
-
-    def __init__(self, points: list[tuple[int, int]]) -> None:
-        self._display = open_display("offscreen", (320, 60), 120)
-        self.points, self.seen = points, []
-
-    def __getattr__(self, name: str):
-        return getattr(self._display, name)
-
-    def flip(self):
-        picture = self._display.read_pixels()
-        self.seen.append([picture[y, x].tolist() for x, y in self.points])
-        return self._display.flip()
+from tests.studyapp.clips import NumberedClip, Watched, trial
 
 
 def test_upload_goes_ahead_each_frame_is_asked_for_once() -> None:
