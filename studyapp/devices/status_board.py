@@ -10,15 +10,13 @@ import numpy as np
 from studyapp.clock import now_ns
 
 OPENING, ALIVE, GONE = 0, 1, 2
+_SAMPLE = np.dtype([("x_dva", "<f8"), ("y_dva", "<f8"), ("mapped_ns", "<i8"), ("valid", "<i8")])
 _SLOT = np.dtype(
     [
         ("state", "<i8"),
         ("changed_ns", "<i8"),
-        ("sequence", "<i8"),  # odd while the sample below is being written
-        ("x_dva", "<f8"),
-        ("y_dva", "<f8"),
-        ("mapped_ns", "<i8"),
-        ("valid", "<i8"),
+        ("written", "<i8"),  # samples so far; the newest lies in samples[written % 2], the other may be half written
+        ("samples", _SAMPLE, (2,)),
         ("reason", "S120"),
     ]
 )
@@ -61,21 +59,17 @@ class StatusBoard:
         return bytes(self._slots[device]["reason"]).decode()
 
     def look(self, device: int, sample: np.ndarray) -> None:
-        """Publish the newest GAZE_DTYPE sample."""
+        """Publish the newest GAZE_DTYPE sample; a writer that is stopped half way leaves the one before it standing."""
         slot = self._slots[device]
-        slot["sequence"] += 1
-        slot["x_dva"], slot["y_dva"] = sample["x_dva"], sample["y_dva"]
-        slot["mapped_ns"], slot["valid"] = sample["mapped_ns"], sample["valid"]
-        slot["sequence"] += 1
+        written = int(slot["written"]) + 1
+        slot["samples"][written % 2] = (sample["x_dva"], sample["y_dva"], sample["mapped_ns"], sample["valid"])
+        slot["written"] = written
 
     def newest(self, device: int) -> tuple[float, float, int, bool] | None:
-        """(x_dva, y_dva, mapped_ns, valid) of the newest sample, None before the first."""
+        """(x_dva, y_dva, mapped_ns, valid) of the newest whole sample, None before the first."""
         slot = self._slots[device]
-        for _ in range(100):
-            before = int(slot["sequence"])
-            if before == 0:
-                return None
-            found = (float(slot["x_dva"]), float(slot["y_dva"]), int(slot["mapped_ns"]), bool(slot["valid"]))
-            if before % 2 == 0 and int(slot["sequence"]) == before:
-                return found
+        while written := int(slot["written"]):
+            x_dva, y_dva, mapped_ns, valid = slot["samples"][written % 2].item()
+            if int(slot["written"]) == written:
+                return x_dva, y_dva, mapped_ns, bool(valid)
         return None

@@ -7,10 +7,12 @@ import signal
 import time
 import uuid
 from collections.abc import Callable, Iterator
+from multiprocessing import get_context
 
 import numpy as np
 import pytest
 
+from protocols.records import GAZE_DTYPE
 from studyapp.clock import now_ns
 from studyapp.devices.decoders import BOX_KINDS, BYTE_BOXES, byte_ns
 from studyapp.devices.device import DeviceSpec
@@ -148,3 +150,29 @@ def test_gaze_arrives_through_a_real_stream_in_degrees_and_its_loss_is_noticed(
 def test_the_board_gives_none_before_the_first_sample() -> None:
     board = StatusBoard(1)
     assert board.newest(0) is None
+
+
+def write_for_ever(board: StatusBoard) -> None:
+    """Samples whose fields all hold the same number."""
+    sample = np.ones((), GAZE_DTYPE)
+    for n in range(1, 1 << 40):
+        sample["x_dva"] = sample["y_dva"] = sample["mapped_ns"] = n
+        board.look(0, sample)
+
+
+def test_a_writer_stopped_at_any_moment_leaves_a_whole_sample() -> None:
+    board = StatusBoard(1)
+    writer = get_context("spawn").Process(target=write_for_ever, args=(board,), daemon=True)
+    writer.start()
+    assert wait_for(lambda: board.newest(0) is not None)
+    try:
+        for _ in range(100):
+            os.kill(writer.pid or 0, signal.SIGSTOP)
+            found = board.newest(0)
+            assert found is not None
+            assert found[0] == found[1] == found[2]
+            assert found[3]
+            os.kill(writer.pid or 0, signal.SIGCONT)
+            time.sleep(0.001)
+    finally:
+        writer.kill()
