@@ -27,7 +27,7 @@ class Entry:
     ``counts_samples``: its frames say how often each pixel was sampled.
     ``own_times``: each sample has a time of its own, so meshes that change their shape are refused.
     ``density``: module of ``picture_probability``, how likely each pixel is traced in a frame; ``density_params``: the
-    parameters that it hangs on.
+    parameters that it hangs on. ``headset``: it also renders the viewports of its paper's headset (`renderers.stereo`).
     """
 
     name: str
@@ -45,6 +45,7 @@ class Entry:
     own_times: bool = False
     density: str = ""
     density_params: tuple[str, ...] = ()
+    headset: bool = False
 
 
 _ENTRIES: tuple[Entry, ...] = (
@@ -103,6 +104,7 @@ _ENTRIES: tuple[Entry, ...] = (
         density="renderers.foveated.foveal_function",
         density_params=("configuration", "r0_deg", "r1_deg", "p_min"),
         counts_samples=True,
+        headset=True,
     ),
     Entry(
         name="checkerboard",
@@ -165,6 +167,7 @@ _ENTRIES: tuple[Entry, ...] = (
         class_name="Polar",
         knobs={"mapping": ("acuity", "equal_density"), "width": (32, 64, 128, 256, 512), "quality": (1, 64, 256)},
         gaze_contingent=True,
+        headset=True,
     ),
 )
 CATALOGUE: Mapping[str, Entry] = {entry.name: entry for entry in _ENTRIES}
