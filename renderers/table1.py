@@ -21,6 +21,7 @@ import numpy as np
 from renderers.catalogue import TECHNIQUES
 from renderers.clip_frames import technique_params, view_at
 from renderers.engine import Engine
+from renderers.text_table import aligned
 from stimuli.encode import display_values
 from stimuli.scene import CameraPath
 
@@ -196,13 +197,7 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
                 f"{row['ms_per_refresh']:.1f}",
             )
         )
-    widths = [max(len(line[k]) for line in lines) for k in range(len(titles))]
-    return "\n".join(
-        "  ".join(
-            cell.ljust(w) if k < 2 else cell.rjust(w) for k, (cell, w) in enumerate(zip(line, widths, strict=True))
-        )
-        for line in lines
-    )
+    return aligned(lines, 2)
 
 
 def plot(rows: Sequence[Mapping[str, Any]], c: Conditions, path: Path) -> None:

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from renderers.text_table import aligned
 from renderers.tradeoff import pareto_front
 
 _COLUMNS = (
@@ -51,13 +52,7 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
                 value /= 1e6
             line.append(form.format(value))
         cells.append(line)
-    widths = [max(len(line[k]) for line in cells) for k in range(len(cells[0]))]
-    return "\n".join(
-        "  ".join(
-            cell.ljust(w) if k < 2 else cell.rjust(w) for k, (cell, w) in enumerate(zip(line, widths, strict=True))
-        )
-        for line in cells
-    )
+    return aligned(cells, 2)
 
 
 def spread(rows: Sequence[Mapping[str, Any]]) -> str:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from stimuli.errors import InputError, problem
+from studyapp.paper_tables import TABLES
 
 HELP = "speed against accuracy of the techniques on scenes: table, CSV, JSON, plot"
 EXAMPLE = (
@@ -23,10 +24,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--technique", action="append", metavar="T", help="repeatable (default: all)")
     parser.add_argument("--budget", default="", metavar="N,N", help="samples a second, as in 100k,400k,1.6M")
-    parser.add_argument("--size", default="256x256", metavar="WxH", help="pixels (default 256x256)")
     parser.add_argument(
-        "--frames", type=int, default=None, metavar="N", help="compared refreshes (default 32; of Table 1: 100)"
-    )
+        "--size", default=None, metavar="WxH", help="pixels (default 256x256; of weier2016 1182x1464, one eye; of the "
+        "errors of herr2021 512x288)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--frames", type=int, default=None, metavar="N", help="compared refreshes (default 32; of dayal2005 100; of "
+        "weier2016 30 a cell; of herr2021 7, 3 and 1 for 1, 64 and 256 light samples)",
+    )  # fmt: skip
     parser.add_argument("--warm-up", type=int, default=48, metavar="N", help="refreshes before them (default 48)")
     parser.add_argument("--rate", default="240", metavar="HZ", help="the display's (default 240)")
     parser.add_argument("--start", default="1", metavar="S", help="scene second of refresh 0 (default 1)")
@@ -37,12 +42,18 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--spp", type=int, default=64, metavar="N", help="samples of the gold standard (default 64)")
     parser.add_argument(
-        "--table1",
-        action="store_true",
-        help="Table 1 of Dayal et al. 2005 at 60 Hz (or: bart_kitchen.glb with --budget alone)",
+        "--table", choices=tuple(TABLES), help="a paper's table made here, beside the paper's numbers: "
+        + "; ".join(f"{name}: {words}" for name, words in TABLES.items()),
+    )  # fmt: skip
+    parser.add_argument("--table1", action="store_const", const="dayal2005", dest="table", help="--table dayal2005")
+    parser.add_argument(
+        "--scale", default=None, metavar="S", help="of herr2021: of the headset's pixels along each side (default 1/4)"
     )
     parser.add_argument(
-        "--duration", default="20", metavar="S", help="seconds of each of Table 1's animations (default 20)"
+        "--configuration", default=None, metavar="C", help="of weier2016: small | medium | large (default medium)"
+    )
+    parser.add_argument(
+        "--duration", default="20", metavar="S", help="seconds of each of dayal2005's animations (default 20)"
     )
     parser.add_argument("--lighting", default="direct", choices=("direct", "ambient_occlusion", "probes"))
     parser.add_argument("--seed", type=int, default=0)
@@ -86,12 +97,19 @@ def run(args: argparse.Namespace) -> int:
     """Measure what is not yet there, write everything, print the table."""
     from renderers import tradeoff, tradeoff_report
     from renderers.jod import require_jod
+    from studyapp import paper_tables
 
     if args.jod:
         require_jod()
     budgets = [number(part, "--budget") for part in args.budget.split(",") if part]
     if is_table1(args):
-        return _table1(args, budgets or [1e5, 4e5, 8e5])
+        args.table = "dayal2005"
+    asked = paper_tables.asked_of(args)
+    if args.table in ("weier2016", "herr2021"):
+        return {"weier2016": paper_tables.weier2016, "herr2021": paper_tables.herr2021}[args.table](asked)
+    args.size = args.size or "256x256"
+    if args.table == "dayal2005":
+        return paper_tables.dayal2005(args, budgets or [1e5, 4e5, 8e5])
     names = tradeoff.techniques_for(args.technique)
     conditions = tradeoff.Conditions(
         size_px=size(args.size), rate_hz=rational(args.rate, "--rate"),
@@ -130,56 +148,9 @@ def run(args: argparse.Namespace) -> int:
 def is_table1(args: argparse.Namespace) -> bool:
     """Whether Table 1 of Dayal et al. 2005 is asked for: by name, or by its scene and budgets."""
     by_scene = [Path(name).stem for name in args.scene or []] == ["bart_kitchen"]
-    return args.table1 or (by_scene and bool(args.budget) and not args.technique and args.path is None)
-
-
-def _table1(args: argparse.Namespace, budgets: list[float]) -> int:
-    """Measure the lines of Table 1 that DIR lacks; write and print them beside the paper's numbers."""
-    from tqdm import tqdm
-
-    from renderers import table1
-    from renderers.engine import Engine
-    from renderers.tradeoff import RowFile
-    from stimuli import load_scene
-    from stimuli.camera_path import camera_path
-    from stimuli.clip_request import ENGINE_VERSION
-
-    frames, duration_s = 100 if args.frames is None else args.frames, rational(args.duration, "--duration")
-    if frames < 1 or args.spp < 1:
-        raise InputError(problem("tradeoff", "frames and spp", f"{frames} and {args.spp}", "at least 1"))
-    if not 1 < duration_s <= 20:
-        raise InputError(problem("--duration", "seconds", args.duration, "more than 1 (the warm-up), at most 20"))
-    if len(args.scene or []) != 1:
-        raise InputError(problem("--scene", "scenes of Table 1", len(args.scene or []), "one, with a toy car in it"))
-    scene = load_scene(args.scene[0], animation=args.animation)
-    c = table1.Conditions(
-        size_px=size(args.size), duration_s=duration_s, compared=frames, reference_spp=args.spp, seed=args.seed
+    return args.table == "dayal2005" or (
+        args.table is None and by_scene and bool(args.budget) and not args.technique and args.path is None
     )
-    file, engine, rows = RowFile(args.out / "table1.jsonl"), None, []
-    for animation, path in table1.ANIMATIONS.items():
-        lines = table1.methods(budgets)
-        keys = [table1.key(scene.sha256, animation, line, c, ENGINE_VERSION) for line in lines]
-        missing = [k for k, key in enumerate(keys) if args.fresh or key not in file.rows]
-        if missing:
-            engine = engine or Engine(scene)
-            camera = camera_path(scene, path)
-            with tqdm(total=len(c.refreshes) * (1 + len(missing)), desc=animation, disable=None) as bar:
-                gold = table1.gold_standard(engine, camera, c, bar.update)
-                for k in missing:
-                    bar.set_postfix_str(f"{lines[k].label} {lines[k].samples_per_s}")
-                    file.add(keys[k], table1.measure(engine, camera, lines[k], gold, c, bar.update))
-        rows += table1.with_ratios(animation, [file.rows[key] for key in keys])
-    (args.out / "table1.json").write_text(json.dumps(rows, indent=1))
-    table1.plot(rows, c, args.out / "table1.png")
-    print(json.dumps(rows, indent=1) if args.json else table1.table(rows))
-    if not args.json:
-        print(
-            f"\nRMS x 255 of {len(c.refreshes)} refreshes in seconds 1 to {args.duration} (the animations: 20 s) "
-            f"against {c.reference_spp} samples a pixel without delay, {args.size} at 60 Hz; ratio: to {table1.FULL} "
-            "(double buffered); *: least error at its samples a second; ms: of a refresh on this machine"
-        )
-        print(f"written: {args.out / 'table1.json'}, .jsonl, .png")
-    return 0
 
 
 def scene_rows(name: str, args: argparse.Namespace, settings: list[Any], conditions: Any) -> list[dict[str, Any]]:

@@ -12,7 +12,7 @@ import os
 import sys
 from pathlib import Path
 
-from renderers.foveated_table import SETTINGS, measure_cell, summary
+from renderers.foveated.table import SETTINGS, Conditions, measure_cell, summary
 from stimuli import load_scene
 from stimuli.camera_path import camera_path
 
@@ -30,8 +30,8 @@ def main(frames: int = 30, names: tuple[str, ...] = ()) -> int:
         scene = load_scene(sponza if name == "sponza" else name)
         path = camera_path(scene, "sway") if name == "sponza" else None
         for setting in SETTINGS:
-            cells.append(measure_cell(scene, setting, frames, camera=path))
-            print(cells[-1].line(), f"load {os.getloadavg()[0]:.1f}", flush=True)
+            cells.append(measure_cell(scene, setting, Conditions(frames), camera=path))
+            print(cells[-1], f"load {os.getloadavg()[0]:.1f}", flush=True)
     found = summary(cells)
     print(json.dumps({key: value for key, value in found.items() if key not in ("cells", "paper")}))
     out = Path("evidence/foveated_table.json")

@@ -7,24 +7,29 @@ occlusion (16 rays). One eye of a headset, gaze at its centre.
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, replace
 from fractions import Fraction
 from typing import Any, Literal
 
 import numpy as np
 
+from renderers.admission import admit
 from renderers.clip_frames import scene_exposure, view_at
 from renderers.eccentricity import eye_plane, picture_eccentricity_deg
 from renderers.engine import Engine
 from renderers.foveated.technique import Foveated
 from renderers.metrics import flip_map, pixels_per_degree
+from renderers.parameters import FOVEAL_REGIONS
 from renderers.parameters import Foveated as FoveatedParameters
 from renderers.parameters import Vanilla as VanillaParameters
 from renderers.stereo import OCULUS_DK2, Headset
 from renderers.vanilla import Vanilla
 from stimuli.encode import display_values
+from stimuli.errors import InputError, problem
 from stimuli.scene import CameraPath, Light, Scene
 
 Setting = Literal["point", "area", "ambient_occlusion"]
@@ -40,6 +45,40 @@ PAPER: dict[str, dict[Setting, tuple[float, float]]] = {
     },
 }  # fmt: skip
 """Table 1: share of the full renderer's rays, and speed-up (Titan X)."""
+PAPER_MEANS = {"fewer_samples_percent": 79, "speedup_mean": 2.55, "speedup_best": 4.18}
+SCENES: dict[str, str | None] = {
+    "tunnel_geom": None, "tunnel_maps": None, "voxel_city": "rungholt", "sponza": "sponza",
+}  # fmt: skip
+"""The scenes of the paper's study, and the scene of its Table 1 that each is or stands in for."""
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What is the same for all cells: ``frames`` are measured after ``warm_up`` others; one eye of ``headset``, in
+    ``size_px`` where it is given."""
+
+    frames: int = 30
+    warm_up: int = 4
+    configuration: str = "medium"
+    headset: Headset = OCULUS_DK2
+    size_px: tuple[int, int] | None = None
+    start_s: Fraction = Fraction(1)
+
+    @property
+    def picture_px(self) -> tuple[int, int]:
+        """Width and height."""
+        return self.headset.size_px if self.size_px is None else self.size_px
+
+    def check(self) -> None:
+        """Raise InputError for what cannot be measured."""
+        size = self.picture_px
+        if self.frames < 1 or self.warm_up < 1 or min(size) < 1:
+            got = f"{self.frames}, {self.warm_up}, {size[0]}x{size[1]}"
+            raise InputError(problem("table", "frames, warm-up, size", got, "at least 1, 1, 1x1"))
+        regions = [name for name in FOVEAL_REGIONS if name != "full"]
+        if self.configuration not in regions:
+            raise InputError(problem("table", "configuration", self.configuration, " | ".join(regions)))
+        admit("foveated", size)
 
 
 @dataclass(frozen=True)
@@ -65,16 +104,10 @@ class Cell:
     rmse_by_ring: tuple[float, ...]
     flip_by_ring: tuple[float, ...]
 
-    def line(self) -> str:
-        """The cell as a line of text."""
-        stages = " ".join(f"{name} {ms:.1f}" for name, ms in self.stages_ms.items() if ms >= 0.05)
-        rings = " ".join(f"{v:.1f}" for v in self.rmse_by_ring)
-        flips = " ".join(f"{v:.3f}" for v in self.flip_by_ring)
-        return (
-            f"{self.scene:12s} {self.setting:17s} {100 * (1 - self.share):5.1f} % fewer  full {self.full_ms:7.1f} ms  "
-            f"ours {self.total_ms:7.1f} ms  trace x{self.trace_speedup:.2f}  frame x{self.speedup:.2f}  [{stages}]  "
-            f"rmse {rings}  flip {flips}"
-        )
+    @staticmethod
+    def of(row: Mapping[str, Any]) -> Cell:
+        """The cell that was written as ``row`` (`dataclasses.asdict`; other entries are passed over)."""
+        return Cell(**{field.name: row[field.name] for field in fields(Cell)})
 
 
 def lit(scene: Scene, setting: Setting, start_s: float) -> Scene:
@@ -103,38 +136,55 @@ def _radius(scene: Scene) -> float:
     return float(np.linalg.norm(points.max(axis=0) - points.min(axis=0)) / 2)
 
 
+def field_words(c: Conditions) -> str:
+    """The eye's field in whole degrees: across by up and down."""
+    half_y = math.tan(c.headset.yfov_rad / 2)
+    across = 2 * math.degrees(math.atan(half_y * c.picture_px[0] / c.picture_px[1]))
+    return f"{across:.0f} x {math.degrees(c.headset.yfov_rad):.0f} degrees"
+
+
+def key(scene_sha256: str, setting: Setting, camera: CameraPath, c: Conditions, version: int) -> str:
+    """The identity of a cell's measurement."""
+    told = [scene_sha256, setting, camera.name, repr(c), version]
+    return hashlib.sha256(json.dumps(told).encode()).hexdigest()
+
+
 def measure_cell(
-    scene: Scene, setting: Setting, frames: int = 30, warm_up: int = 4, configuration: str = "medium",
-    headset: Headset = OCULUS_DK2, size_px: tuple[int, int] | None = None, start_s: Fraction = Fraction(1),
-    device: str = "auto", camera: CameraPath | None = None,
+    scene: Scene, setting: Setting, c: Conditions = Conditions(), camera: CameraPath | None = None,
+    device: str = "auto", progress: Callable[[int], object] = int,
 ) -> Cell:  # fmt: skip
-    """One cell: ``warm_up`` frames record the kernels, then ``frames`` are measured, full and foveated alternating."""
+    """One cell: the warm-up records the kernels, then frames are measured, full and foveated alternating.
+
+    ``progress`` is called with 1 after each frame. Raises what `Conditions.check` does.
+    """
+    c.check()
+    size = c.picture_px
     path = scene.camera if camera is None else camera
     engine = Engine(
-        lit(replace(scene, camera=path), setting, float(start_s)),
+        lit(replace(scene, camera=path), setting, float(c.start_s)),
         device=device,
         lighting="ambient_occlusion" if setting == "ambient_occlusion" else "direct",
     )
-    size = headset.size_px if size_px is None else size_px
-    eye = replace(headset.eyes(path)[0])
+    eye = c.headset.eyes(path)[0]
     samples = 9 if setting == "area" else 1
-    params = FoveatedParameters.model_validate({"configuration": configuration, "light_samples": samples})
+    params = FoveatedParameters.model_validate({"configuration": c.configuration, "light_samples": samples})
     foveated = Foveated(engine, size, params, 1, "stages")
     full = Vanilla(engine, size, VanillaParameters.model_validate({"light_samples": samples}), 1, "stages")
-    exposure = scene_exposure(engine, eye, start_s)
+    exposure = scene_exposure(engine, eye, c.start_s)
     ring = np.digitize(picture_eccentricity_deg(eye_plane(size, eye.yfov_rad), size), RINGS_DEG) - 1
     squares, pixels = np.zeros(len(RINGS_DEG)), np.zeros(len(RINGS_DEG))
     rows, shares, marked = [], [], []
-    for k in range(warm_up + frames):
-        view = view_at(k, RATE_HZ, start_s, size, eye, exposure=exposure, cut=k == 0)
+    for k in range(c.warm_up + c.frames):
+        view = view_at(k, RATE_HZ, c.start_s, size, eye, exposure=exposure, cut=k == 0)
         wanted = full.render(view)
         frame = foveated.render(view)
-        if k < warm_up:
+        progress(1)
+        if k < c.warm_up:
             continue
         rows.append((dict(wanted.seconds), dict(frame.seconds)))
         shares.append(frame.rays["primary"] / (size[0] * size[1]))
         marked.append(float(foveated.show(view)["marks"].mean()))
-        if (k - warm_up) % 5 == 4 or frames < 5:
+        if (k - c.warm_up) % 5 == 4 or c.frames < 5:
             error = display_values(frame.color, exposure) - display_values(wanted.color, exposure)
             squares += np.bincount(ring.ravel(), (error**2).mean(-1).ravel(), len(RINGS_DEG))
             pixels += np.bincount(ring.ravel(), minlength=len(RINGS_DEG))
@@ -152,7 +202,7 @@ def measure_cell(
     full_ms, full_trace, total = median_ms(0, "total"), median_ms(0, "trace"), median_ms(1, "total")
     errors = 255 * np.sqrt(squares / np.maximum(pixels, 1))
     return Cell(
-        scene=scene.name, setting=setting, frames=frames, share=float(np.mean(shares)),
+        scene=scene.name, setting=setting, frames=c.frames, share=float(np.mean(shares)),
         marked=float(np.mean(marked)), full_ms=full_ms, full_trace_ms=full_trace, total_ms=total, stages_ms=stages,
         trace_speedup=full_trace / stages["trace"], speedup=full_ms / total,
         rmse_by_ring=tuple(float(v) for v in errors[: len(RINGS_DEG) - 1]), flip_by_ring=tuple(flips),
@@ -170,6 +220,6 @@ def summary(cells: Sequence[Cell]) -> dict[str, Any]:
         "speedup": {s: float(np.mean([c.speedup for c in of])) for s, of in by_setting.items() if of},
         "speedup_mean": float(np.mean([c.speedup for c in cells])),
         "speedup_best": max(c.speedup for c in cells),
-        "paper": {"fewer_samples_percent": 79, "speedup_mean": 2.55, "speedup_best": 4.18, "table_1": PAPER},
+        "paper": {**PAPER_MEANS, "table_1": PAPER},
         "cells": [asdict(cell) for cell in cells],
     }
