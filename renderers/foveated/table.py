@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from fractions import Fraction
@@ -87,7 +88,7 @@ class Cell:
 
     ``trace_speedup`` compares the trace stages, ``speedup`` whole frames. ``rmse_by_ring``: of display values x 255
     against the full frames, by `RINGS_DEG`, over all frames compared (one in five); ``flip_by_ring``: mean LDR-FLIP of
-    the last frame.
+    the last frame. ``load``: the machine's load average.
     """
 
     scene: str
@@ -103,6 +104,7 @@ class Cell:
     speedup: float
     rmse_by_ring: tuple[float, ...]
     flip_by_ring: tuple[float, ...]
+    load: float
 
     @staticmethod
     def of(row: Mapping[str, Any]) -> Cell:
@@ -206,6 +208,7 @@ def measure_cell(
         marked=float(np.mean(marked)), full_ms=full_ms, full_trace_ms=full_trace, total_ms=total, stages_ms=stages,
         trace_speedup=full_trace / stages["trace"], speedup=full_ms / total,
         rmse_by_ring=tuple(float(v) for v in errors[: len(RINGS_DEG) - 1]), flip_by_ring=tuple(flips),
+        load=os.getloadavg()[0],
     )  # fmt: skip
 
 

@@ -81,7 +81,7 @@ def plot(cells: Sequence[Cell], path: Path) -> None:
     speed.axhline(1, color="0.6", lw=0.8)
     speed.set_xticks(range(len(scenes)), scenes, fontsize=8)
     speed.set_ylabel("times faster than full ray tracing")
-    speed.legend(fontsize=7)
+    speed.legend(fontsize=7, loc="upper left", bbox_to_anchor=(0.0, 0.9))
     rows = [f"{cell.scene}\n{_WORDS[cell.setting]}" for cell in cells]
     left = [0.0] * len(cells)
     for n, stage in enumerate(_STAGES):
@@ -93,7 +93,7 @@ def plot(cells: Sequence[Cell], path: Path) -> None:
     stage_axes.invert_yaxis()
     stage_axes.tick_params(axis="y", labelsize=6)
     stage_axes.set_xlabel("ms")
-    stage_axes.legend(fontsize=6)
+    stage_axes.legend(fontsize=6, loc="upper left", bbox_to_anchor=(1.0, 1.0))
     for n, setting in enumerate(SETTINGS):
         for cell in (cell for cell in cells if cell.setting == setting):
             style = ("-", "--", "-.", ":")[scenes.index(cell.scene) % 4]

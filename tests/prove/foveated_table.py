@@ -2,7 +2,7 @@
 
 Sponza is taken where the assets are (``$STUDYAPP_ASSETS``), on its sway path. Asked: 79 % fewer samples on average;
 tracing alone 3.2 / 3.5 / 4 times faster (point, area, ambient occlusion); whole frames on two cores 2.0 on average and
-3.5 at best. ``python -m tests.prove.foveated_table [FRAMES [SCENE,SCENE]]``.
+3.5 at best. ``python -m tests.prove.foveated_table [FRAMES [SCENE,SCENE]]``; ``studyapp tradeoff --table weier2016``.
 """
 
 from __future__ import annotations
@@ -12,7 +12,8 @@ import os
 import sys
 from pathlib import Path
 
-from renderers.foveated.table import SETTINGS, Conditions, measure_cell, summary
+from renderers.foveated.table import SCENES, SETTINGS, Conditions, measure_cell, summary
+from renderers.foveated.table_report import rings, table
 from stimuli import load_scene
 from stimuli.camera_path import camera_path
 
@@ -21,7 +22,7 @@ def main(frames: int = 30, names: tuple[str, ...] = ()) -> int:
     """Measure and print every cell, write evidence/foveated_table.json; 0 where what is asked is reached."""
     folder = Path(os.environ.get("STUDYAPP_ASSETS", "assets"))
     sponza = next(iter(folder.rglob("sponza.glb")), None) if folder.is_dir() else None
-    wanted = names or ("tunnel_geom", "tunnel_maps", "voxel_city", "sponza")
+    wanted = names or tuple(SCENES)
     cells = []
     for name in wanted:
         if name == "sponza" and sponza is None:
@@ -31,9 +32,9 @@ def main(frames: int = 30, names: tuple[str, ...] = ()) -> int:
         path = camera_path(scene, "sway") if name == "sponza" else None
         for setting in SETTINGS:
             cells.append(measure_cell(scene, setting, Conditions(frames), camera=path))
-            print(cells[-1], f"load {os.getloadavg()[0]:.1f}", flush=True)
+            print(cells[-1], flush=True)
     found = summary(cells)
-    print(json.dumps({key: value for key, value in found.items() if key not in ("cells", "paper")}))
+    print(table(cells), rings(cells), sep="\n\n")
     out = Path("evidence/foveated_table.json")
     out.parent.mkdir(exist_ok=True)
     out.write_text(json.dumps(found, indent=1))
