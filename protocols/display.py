@@ -23,6 +23,9 @@ class Display(Model):
         default="camera",
         description="eccentricity from the screen's size and distance, or from the camera's field",
     )
+    view: Literal["monitor", "headset"] = Field(
+        default="monitor", description="what techniques render; a session is shown on a monitor, so headset is refused"
+    )
 
     @property
     def pixels_per_degree(self) -> float:

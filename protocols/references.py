@@ -17,6 +17,13 @@ def reference_problems(study: Study, written: Mapping[str, Any]) -> Iterator[Pro
     """All names that lead nowhere and values that do not fit each other.
     ``written``: see `Declared`."""
     names = Declared(study, written)
+    if study.display.view == "headset":
+        able = " | ".join(name for name, entry in CATALOGUE.items() if entry.headset)
+        wanted = (
+            "monitor: sessions are shown on a monitor, and a headset's runtime would pace and warp the frames itself "
+            f"(pictures of it: studyapp scene SCENE --technique {able} --view headset)"
+        )
+        yield ("display", "view"), "display.view", "'headset'", wanted
     yield from path_problems(study.paths)
     yield from condition_problems(study)
     yield from channel_problems(study)

@@ -48,9 +48,7 @@ def debug_picture(
     """
     checked = technique_params(technique, params or {})
     kind = TECHNIQUES[technique]
-    if not hasattr(kind, "show"):
-        having = [name for name, known in TECHNIQUES.items() if hasattr(known, "show")]
-        raise InputError(problem("--show", "technique without debug pictures", technique, " | ".join(having)))
+    require_maps(technique)
     engine = Engine(scene)
     exposure = scene_exposure(engine, camera, start_s)
     made: Any = kind(engine, size_px, checked, 0, "total")
@@ -63,8 +61,16 @@ def debug_picture(
     return Shown(encode(np.array(frame.color), exposure)[..., :3], np.asarray(maps[show]), show)
 
 
-def colored(shown: Shown) -> np.ndarray:
-    """(H, W, 3) uint8: orders and classes as colours over the grey picture, everything else as a colour scale."""
+def require_maps(technique: str) -> None:
+    """Raise InputError for a technique without debug maps."""
+    if not hasattr(TECHNIQUES[technique], "show"):
+        having = [name for name, known in TECHNIQUES.items() if hasattr(known, "show")]
+        raise InputError(problem("--show", "technique without debug pictures", technique, " | ".join(having)))
+
+
+def colored(shown: Shown, limits: tuple[float, float] | None = None) -> np.ndarray:
+    """(H, W, 3) uint8: orders and classes as colours over the grey picture, everything else as a colour scale between
+    ``limits`` (None: `value_range`)."""
     from matplotlib import colormaps
 
     values = shown.values
@@ -79,7 +85,7 @@ def colored(shown: Shown) -> np.ndarray:
         grey = shown.codes.mean(axis=2, keepdims=True) / 255
         color = np.array(palette)[values.astype(int)] * (0.35 + 0.65 * grey)
     else:
-        low, high = value_range(shown)
+        low, high = value_range(shown) if limits is None else limits
         color = colormaps["coolwarm" if low < 0 else "viridis"]((values - low) / max(high - low, 1e-12))[..., :3]
     return np.rint(color * 255).astype(np.uint8)
 

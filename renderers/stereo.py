@@ -80,6 +80,10 @@ def herr_viewports(scale: float = 1.0, eyes_apart_m: float = OCULUS_DK2.eyes_apa
     )
 
 
+DEFAULT_SCALE = {"foveated": 1.0, "polar": 0.25}
+"""Of the headset's pixels along each side, where nothing else is asked for: HERR's are 25 million."""
+
+
 def headset_viewports(technique: str, scale: float = 1.0) -> tuple[Viewport, ...]:
     """What ``technique`` shows in the headset of its paper; ``scale``, of the pixels along each side.
 

@@ -1,5 +1,5 @@
-"""``studyapp scene``: what a scene is and requires, a contact sheet along its path, a technique's debug pictures, and
-camera paths flown by hand."""
+"""``studyapp scene``: what a scene is and requires, a contact sheet along its path, a technique's pictures on a monitor
+or in a headset, its debug pictures, and camera paths flown by hand."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from stimuli.scene import CameraPath, Scene
 
-HELP = "what a scene holds and requires, a contact sheet, debug pictures of a technique; record a camera path"
+HELP = "what a scene holds and requires, a contact sheet, (debug) pictures of a technique; record a camera path"
 EXAMPLE = "studyapp scene toy_car --preview out.png"
 _NAMED = 3  # of the things that require a feature
 
@@ -22,21 +22,32 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--preview", metavar="OUT", type=Path, help="write 12 pictures along the path (.png or .jpg)")
     parser.add_argument("--requires", action="store_true", help="what its kernels must contain, and what needs it")
     parser.add_argument(
-        "--technique", metavar="T", default="temporally_dense", help="whose debug picture --show writes"
+        "--technique", metavar="T", default="temporally_dense", help="whose picture --view or --show writes"
     )
+    parser.add_argument(
+        "--view", choices=("monitor", "headset"), help="write what the technique shows on a monitor, or in the headset "
+        "of its paper, all viewports on one sheet (foveated: 1182x1464 px an eye, 94 x 106 degrees; polar: for each "
+        "eye 40 degrees at 60 px a degree and 90 degrees at 22)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--scale", metavar="S", help="of the headset's pixels along each side (default: foveated 1, polar 1/4)"
+    )
+    parser.add_argument("--gaze", metavar="X,Y", help="of --view: degrees to the right and up (default: the centre)")
     parser.add_argument(
         "--show",
         metavar="WHAT",
         help="a debug picture of the technique (segmentation, class, motion.X, ...), or: decision (Fig. 10)",
     )
-    parser.add_argument("--out", metavar="FILE.png", type=Path, help="where --show writes (default: SCENE_WHAT.png)")
-    parser.add_argument("--size", metavar="WxH", default="480x270", help="of --show (default 480x270)")
-    parser.add_argument("--frames", metavar="N", type=int, default=24, help="--show shows the N-th frame (default 24)")
+    parser.add_argument("--out", metavar="FILE.png", type=Path, help="where --view and --show write (SCENE_WHAT.png)")
+    parser.add_argument(
+        "--size", metavar="WxH", default="480x270", help="of --show and a monitor's --view (default 480x270)"
+    )
+    parser.add_argument("--frames", metavar="N", type=int, default=24, help="the N-th frame is shown (default 24)")
     parser.add_argument(
         "--start",
         metavar="S",
         default=None,
-        help="scene second of frame 0 of --show (default 1) or of --record-path (0)",
+        help="scene second of frame 0 of --view and --show (default 1) or of --record-path (0)",
     )
     parser.add_argument("--animation", metavar="NAME", help="which of the file's animations (default: the first)")
     parser.add_argument(
@@ -72,7 +83,9 @@ def run(args: argparse.Namespace) -> int:
         except RuntimeError as error:
             raise JobFailed(str(error)) from error
         print(f"wrote {args.preview}")
-    if args.show is not None:
+    if args.view is not None:
+        _write_view(args, scene, camera)
+    elif args.show is not None:
         _write_debug_picture(args, scene, camera)
     if args.record_path is not None:
         _record(args, scene, camera)
@@ -93,19 +106,55 @@ def _print_requirements(scene: Scene) -> None:
     print("  ambient occlusion and probes are asked for by a clip's lighting, not by the scene")
 
 
+def _picture_file(args: argparse.Namespace, scene: Scene, what: str) -> Path:
+    """Where a picture goes. Raises InputError for another kind of file, and for fewer than 1 frame."""
+    from stimuli.errors import InputError, problem
+
+    out: Path = args.out or Path(f"{scene.name}_{what}.png")
+    if out.suffix.lower() != ".png" or not out.parent.is_dir():
+        raise InputError(problem("--out", "picture file", out, "a name ending in .png, in a folder that exists"))
+    if args.frames < 1:
+        raise InputError(problem("--frames", "frames", args.frames, "at least 1"))
+    return out
+
+
+def _gaze(text: str | None) -> tuple[float, float] | None:
+    """'5,-6' -> (5.0, -6.0)."""
+    from stimuli.errors import InputError, problem
+
+    if text is None:
+        return None
+    try:
+        x, y = (float(part) for part in text.split(","))
+    except ValueError as error:
+        raise InputError(problem("--gaze", "direction", repr(text), "X,Y in degrees, as in 5,-6")) from error
+    return x, y
+
+
+def _write_view(args: argparse.Namespace, scene: Scene, camera: CameraPath) -> None:
+    """Write what --view names, or of it what --show names."""
+    from renderers.view_pictures import view_sheet
+    from studyapp.commands.tradeoff import rational, size
+
+    out = _picture_file(args, scene, args.show or args.view)
+    sheet = view_sheet(
+        scene, args.technique, args.view, camera, size_px=size(args.size), gaze=_gaze(args.gaze), show=args.show,
+        scale=None if args.scale is None else float(rational(args.scale, "--scale")),
+        start_s=rational(args.start or "1", "--start"), frames=args.frames,
+    )  # fmt: skip
+    sheet.image().save(out)
+    shown = "; ".join(f"{name} {words}" for name, words in sheet.words.items())
+    print(f"wrote {out} ({args.show or 'pictures'} of {args.technique}: {shown})")
+
+
 def _write_debug_picture(args: argparse.Namespace, scene: Scene, camera: CameraPath) -> None:
     """Write what --show names."""
     from PIL import Image
 
     from renderers.debug_pictures import colored, debug_picture, plot_decisions, value_range
-    from stimuli.errors import InputError, problem
     from studyapp.commands.tradeoff import rational, size
 
-    out = args.out or Path(f"{scene.name}_{args.show}.png")
-    if out.suffix.lower() != ".png":
-        raise InputError(problem("--out", "picture file", out, "a name ending in .png"))
-    if args.frames < 1:
-        raise InputError(problem("--frames", "frames", args.frames, "at least 1"))
+    out = _picture_file(args, scene, args.show)
     if args.show == "decision":
         plot_decisions(out)
         print(f"wrote {out}")

@@ -24,7 +24,7 @@ def run(args: argparse.Namespace) -> int:
         print(json.dumps(described, indent=1))
         return 0
     for name, what in described.items():
-        marks = [word for word in ("gaze_contingent", "framed", "baseline") if what[word]]
+        marks = [word for word in ("gaze_contingent", "headset", "framed", "baseline") if what[word]]
         print(f"{name}" + (f"  ({', '.join(marks)})" if marks else ""))
         print(f"  {what['summary']}")
         for parameter in what["parameters"]:
@@ -50,6 +50,7 @@ def describe(entry: Entry) -> dict[str, Any]:
     return {
         "summary": entry.summary,
         "gaze_contingent": entry.gaze_contingent,
+        "headset": entry.headset,
         "framed": entry.framed,
         "baseline": entry.baseline,
         "knobs": {name: list(values) for name, values in entry.knobs.items()},
