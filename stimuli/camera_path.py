@@ -19,10 +19,11 @@ from scipy.spatial.transform import Rotation
 from stimuli.clip_request import PATH_NAMES
 from stimuli.errors import InputError, problem
 from stimuli.gltf_animation import compose, slerp, unit
+from stimuli.interactive_path import interactive_keys
 from stimuli.light_files import look_at
 from stimuli.scene import CameraPath, Mover, Scene, StillCamera
 
-PATH_VERSION = 1
+PATH_VERSION = 2
 """Raised by hand whenever a named path would move the camera in another way."""
 SWAY_PERIOD_S = 4.0
 _SWAY_SHARE = 0.02
@@ -134,7 +135,8 @@ def camera_path(scene: Scene, name_or_file: str | Path) -> CameraPath:
 
     file: the scene's own. still: its pose at time 0. sway: see `SwayCamera`. toycar: the side file's view position (the
     file's camera where there is none) aimed at the mean position of the mover called like a car, else of all movers.
-    interactive: a synthetic visitor who looks round and steps about, with pauses (stands in for a recorded hand).
+    interactive: a synthetic visitor who looks round and steps about, with pauses, clear of all surfaces (stands in for
+    a recorded hand; see `stimuli.interactive_path`).
     """
     name = str(name_or_file)
     if name not in PATH_NAMES:
@@ -148,7 +150,8 @@ def camera_path(scene: Scene, name_or_file: str | Path) -> CameraPath:
         return SwayCamera(start, scene.camera.yfov_rad, _SWAY_SHARE * scene_radius(scene))
     if name == "toycar":
         return _toycar(scene)
-    return _interactive(start, scene.camera.yfov_rad, _SWAY_SHARE * scene_radius(scene))
+    times_s, places, turns = interactive_keys(scene, start, _SWAY_SHARE * scene_radius(scene))
+    return KeyedCamera(times_s, places, turns, scene.camera.yfov_rad, "interactive", interpolation="linear")
 
 
 def camera_path_sha256(name_or_file: str | Path) -> str:
@@ -263,30 +266,6 @@ def _centre_over_time(mover: Mover, times_s: np.ndarray) -> np.ndarray:
     centre = np.append((local.min(axis=0) + local.max(axis=0)) / 2.0, 1.0)
     centres: np.ndarray = (mover.track.pose(times_s) @ centre)[:, :3]
     return centres
-
-
-def _interactive(start: np.ndarray, yfov_rad: float, step_m: float) -> KeyedCamera:
-    """20 s of looks (up to 40 degrees aside, 10 up or down) and steps, each 0.4 to 1.2 s, with pauses of 0.2 to 1 s."""
-    rng = np.random.Generator(np.random.Philox(np.random.SeedSequence(20050901)))
-    times, places, turns = [0.0], [start[:3, 3]], [Rotation.from_matrix(start[:3, :3])]
-    while times[-1] < 20.0:
-        heading, nod = rng.uniform(-0.7, 0.7), rng.uniform(-0.17, 0.17)
-        look = Rotation.from_rotvec([0.0, heading, 0.0]) * turns[0] * Rotation.from_rotvec([nod, 0.0, 0.0])
-        offset = rng.uniform(-1.0, 1.0, 3) * np.array([2.0, 0.2, 2.0]) * step_m
-        move_s, rest_s = rng.uniform(0.4, 1.2), rng.uniform(0.2, 1.0)
-        turn_by = (look * turns[-1].inv()).as_rotvec()
-        origin, from_place, from_turn = times[-1], places[-1], turns[-1]
-        for share in np.linspace(0.0, 1.0, 13)[1:]:
-            # Minimum-jerk profile (Flash and Hogan 1985).
-            done = share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
-            times.append(origin + share * move_s)
-            places.append(from_place + done * (start[:3, 3] + offset - from_place))
-            turns.append(Rotation.from_rotvec(done * turn_by) * from_turn)
-        times.append(times[-1] + rest_s)
-        places.append(places[-1])
-        turns.append(turns[-1])
-    quaternions = np.array([turn.as_quat() for turn in turns])
-    return KeyedCamera(np.array(times), np.array(places), quaternions, yfov_rad, "interactive", interpolation="linear")
 
 
 def _orientation(entry: Any, place: np.ndarray | None, where: str, problems: list[str]) -> np.ndarray | None:
