@@ -7,6 +7,7 @@ ratios to full resolution at 60 Hz. The paper's 'Interactive' recording is not p
 
 from __future__ import annotations
 
+import csv
 import hashlib
 import json
 import math
@@ -22,6 +23,7 @@ from renderers.catalogue import TECHNIQUES
 from renderers.clip_frames import technique_params, view_at
 from renderers.engine import Engine
 from renderers.text_table import aligned
+from stimuli.camera_path import camera_path_sha256
 from stimuli.encode import display_values
 from stimuli.scene import CameraPath
 
@@ -147,7 +149,8 @@ def measure(
 
 def key(scene_sha256: str, animation: str, method: Method, c: Conditions, version: int) -> str:
     """The identity of a line's measurement."""
-    told = [scene_sha256, animation, method.technique, dict(method.params), repr(c), version]
+    path = camera_path_sha256(ANIMATIONS[animation])
+    told = [scene_sha256, animation, path, method.technique, dict(method.params), repr(c), version]
     told.append(technique_params(method.technique, method.params).model_dump())
     return hashlib.sha256(json.dumps(told, sort_keys=True, default=str).encode()).hexdigest()
 
@@ -198,6 +201,17 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
             )
         )
     return aligned(lines, 2)
+
+
+def write_curves(rows: Sequence[Mapping[str, Any]], c: Conditions, path: Path) -> None:
+    """Fig. 8 as CSV: a line for each method, budget and compared refresh, errors x 255."""
+    with path.open("w", newline="") as file:
+        lines = csv.writer(file)
+        lines.writerow(("animation", "method", "samples_per_s", "refresh", "time_s", "rms"))
+        for row in rows:
+            for k, error in zip(c.refreshes, row["errors"], strict=True):
+                line = (row["animation"], row["label"], row["samples_per_s"], k, float(k / c.rate_hz), error)
+                lines.writerow(line)
 
 
 def plot(rows: Sequence[Mapping[str, Any]], c: Conditions, path: Path) -> None:

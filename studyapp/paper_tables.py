@@ -120,6 +120,7 @@ def dayal2005(args: argparse.Namespace, budgets: list[float]) -> int:
                     file.add(keys[k], table1.measure(engine, camera, lines[k], gold, c, bar.update))
         rows += table1.with_ratios(animation, [file.rows[key] for key in keys])
     (args.out / "table1.json").write_text(json.dumps(rows, indent=1))
+    table1.write_curves(rows, c, args.out / "table1_errors.csv")
     table1.plot(rows, c, args.out / "table1.png")
     print(json.dumps(rows, indent=1) if args.json else table1.table(rows))
     if not args.json:
@@ -128,7 +129,7 @@ def dayal2005(args: argparse.Namespace, budgets: list[float]) -> int:
             f"against {c.reference_spp} samples a pixel without delay, {args.size} at 60 Hz; ratio: to {table1.FULL} "
             "(double buffered); *: least error at its samples a second; ms: of a refresh on this machine"
         )
-        print(f"written: {args.out / 'table1.json'}, .jsonl, .png")
+        print(f"written: {args.out / 'table1.json'}, .jsonl, .png, {args.out / 'table1_errors.csv'}")
     return 0
 
 

@@ -13,6 +13,7 @@ import pytest
 from renderers import table1
 from renderers.engine import Engine
 from renderers.table1 import FULL, METHODS, PAPER, Conditions, Method, key, methods, with_ratios
+from stimuli.camera_path import PATH_VERSION
 from stimuli.scene import StillCamera
 from studyapp.cli import main
 from tests.renderers.scenes import SlidingCamera, noise_pixels, quad, scene_of, unlit, velocity_for
@@ -79,6 +80,14 @@ def test_every_condition_and_parameter_is_part_of_a_lines_identity() -> None:
     assert len(keys) == 6
 
 
+def test_a_camera_path_that_moves_in_another_way_has_other_lines(monkeypatch: pytest.MonkeyPatch) -> None:
+    line, before = methods([1e5])[4], []
+    for version in (PATH_VERSION, PATH_VERSION + 1):
+        monkeypatch.setattr("stimuli.camera_path.PATH_VERSION", version)
+        before.append(key("a", "interactive", line, SMALL, 1))
+    assert before[0] != before[1]
+
+
 def test_where_nothing_moves_delay_costs_nothing_and_resolution_does() -> None:
     engine = wall(StillCamera(np.eye(4), np.pi / 3))
     gold = table1.gold_standard(engine, engine.scene.camera, SMALL, quiet)
@@ -111,6 +120,11 @@ def test_one_command_writes_table_rows_and_curves_and_says_what_is_shortened(
     assert {row["animation"] for row in rows} == {"interactive", "bart", "toycar"}
     assert len(rows) == 3 * 5
     assert (tmp_path / "table1.png").stat().st_size > 1000
+    curves = (tmp_path / "table1_errors.csv").read_text().splitlines()
+    assert len(curves) == 1 + 3 * 5 * 2
+    last = curves[-1].split(",")
+    assert last[:4] == [rows[-1]["animation"], rows[-1]["label"], "4000", "65"]
+    assert float(last[5]) == rows[-1]["errors"][-1]
     before = (tmp_path / "table1.jsonl").read_text()
     assert main(arguments) == 0  # nothing is measured twice
     assert (tmp_path / "table1.jsonl").read_text() == before

@@ -15,10 +15,12 @@ from stimuli.scene import Mover, Part, Primitive, Scene, StillCamera
 from tests.renderers.scenes import scene_of, unlit
 from tests.renderers.scenes_by_hand import Drift
 
+Triple = tuple[float, float, float]
 
-def quad(corner: object, u: object, v: object, name: str = "quad") -> Part:
-    corner, u, v = (np.asarray(value, float) for value in (corner, u, v))
-    points = np.array([corner, corner + u, corner + u + v, corner + v], np.float32)
+
+def quad(corner: Triple, u: Triple, v: Triple, name: str = "quad") -> Part:
+    a, du, dv = np.array(corner, float), np.array(u, float), np.array(v, float)
+    points = np.array([a, a + du, a + du + dv, a + dv], np.float32)
     return Part(name, Primitive(points, indices=np.array([[0, 1, 2], [0, 2, 3]], np.uint32), mode=4), unlit())
 
 
@@ -85,7 +87,8 @@ def test_distances_are_those_of_brute_force() -> None:
     for place in rng.uniform(-2.5, 2.5, (12, 3)):
         nearest = np.inf
         for k, part in enumerate(parts):
-            corner, right, up = part.positions[0], *(part.positions[[1, 3]] - part.positions[0])
+            corner = part.positions[0]
+            right, up = part.positions[1] - corner, part.positions[3] - corner
             cloud = corner + share[:, :1] * right + share[:, 1:] * up
             cloud = cloud @ pose[:3, :3].T + pose[:3, 3] if k >= 6 else cloud
             nearest = min(nearest, float(np.linalg.norm(cloud - place, axis=1).min()))
@@ -110,6 +113,6 @@ def test_the_visitor_of_the_bart_kitchen_never_enters_furniture(assets: Path) ->
     times_s = np.arange(0.0, 20.0, 1 / 10)
     at = path.pose(times_s)[:, :3, 3]
     clearance = Clearance(scene, at[0], 2.0)
-    least = [clearance.at(place, time_s[None], 0.05) for place, time_s in zip(at, times_s, strict=True)]
+    least = [clearance.at(place, times_s[k : k + 1], 0.05) for k, place in enumerate(at)]
     assert min(least) >= 0.009  # the start itself has 0.02 m under the ceiling
     assert np.ptp(at, axis=0).max() > 0.1 * scene_radius(scene) * 0.2
