@@ -25,7 +25,7 @@ class Laplace:
 
     def evaluate(self, phi: np.ndarray, sds: np.ndarray) -> float:
         """Laplace approximation of the log-likelihood."""
-        a, b = self.bounds.upper @ phi, self.bounds.lower @ phi
+        a, b = self.bounds.at(phi)
         z = self.z * sds[self.owner]
 
         def terms(u: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -77,8 +77,16 @@ def fit_crossed(
     if thresholds > 1:
         start[1:thresholds] = np.log(np.diff(fixed.phi[:thresholds]))
     box = [(None, None)] * size + [(0.0, None)] * m
-    found = optimize.minimize(objective, start, method="L-BFGS-B", jac="3-point", bounds=box,
-                              options={"ftol": 1e-12, "gtol": 1e-6, "maxiter": 300})  # fmt: skip
+    for _ in range(1 + m):
+        found = optimize.minimize(objective, start, method="L-BFGS-B", jac="3-point", bounds=box,
+                                  options={"ftol": 1e-12, "gtol": 1e-6, "maxiter": 300})  # fmt: skip
+        # The likelihood is level in an SD of 0, and a search that touched 0 stays there: is a small SD better?
+        stuck = np.zeros(len(start), dtype=bool)
+        for place in size + np.flatnonzero(found.x[size:] < 1e-3):
+            stuck[place] = objective(np.where(np.arange(len(start)) == place, 0.1, found.x)) < found.fun - 1e-9
+        if not stuck.any():
+            break
+        start = np.where(stuck, 0.3, found.x)
     phi, sds = natural(found.x)
     sds = np.where(sds < 1e-3, 0.0, sds)
     free = np.concatenate([np.ones(size, dtype=bool), sds > 0])
@@ -92,7 +100,9 @@ def fit_crossed(
     hessian = _hessian(at, theta[free])
     covariance = np.linalg.pinv(-hessian, hermitian=True)[:size, :size]
     value = laplace.evaluate(phi, sds)
-    converged = bool(found.success or float(np.max(np.abs(found.jac[:size]))) < 1e-3 * math.sqrt(1 + abs(value)))
+    converged = bool(
+        found.success or float(np.max(np.abs(found.jac[:size]), initial=0.0)) < 1e-3 * math.sqrt(1 + abs(value))
+    )
     names = {term.name: float(sd) for term, sd in zip(random, sds, strict=True)}
     return ThresholdFit(phi, covariance, value, float(sds[0]), math.nan, converged), names
 

@@ -12,8 +12,18 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
+from analysis.coefficient_tests import (
+    LIKELIHOOD_RATIO,
+    PARTICIPANTS,
+    STATISTICS,
+    TESTS,
+    WALD,
+    ThresholdModel,
+    put_tests,
+    separated_test,
+    usual_test,
+)
 from analysis.formula import ModelFrame, independent_columns, model_frame
-from analysis.laplace import fit_crossed
 from analysis.log_tails import log10_z, p_z
 from analysis.results import (
     BOUNDARY,
@@ -27,7 +37,7 @@ from analysis.results import (
     one_of,
     result_table,
 )
-from analysis.threshold_model import LINKS, Bounds, ThresholdFit, collapsed, fit_fixed, fit_mixed, separation_direction
+from analysis.threshold_model import LINKS, Bounds, ThresholdFit, collapsed, separation_direction
 from stimuli.errors import InputError, problem
 
 MAX_CATEGORIES = 100
@@ -40,6 +50,7 @@ def cumulative_link(
     random: str | Sequence[str] | None = None,
     link: str = "logit",
     nodes: int = 21,
+    test: str | None = WALD,
 ) -> pd.DataFrame:
     """Cumulative link (mixed) model by maximum likelihood: P(Y <= j) = F(threshold_j - x'b - u).
 
@@ -48,9 +59,12 @@ def cumulative_link(
     intercepts, integrated by adaptive Gauss-Hermite quadrature with ``nodes`` nodes (1: Laplace); several, a list:
     Laplace. ``link``: logit, probit, cloglog. ``attrs``: log_likelihood, aic, n, random_sd {name: SD}. A random SD
     of 0 makes rows ``boundary`` (the numbers are those of the model without it). Complete or quasi-complete
-    separation is found before fitting by linear programming. Raises InputError for unknown columns or formulas.
+    separation is found before fitting by linear programming. ``test``: p and interval of the terms as in
+    ``binomial_mixed`` (None: the usual one); 'wald', the default, is what ordinal's clm and clmm print, and too liberal
+    where participants differ in the effect itself. Raises InputError for unknown columns or formulas.
     """
     one_of("cumulative_link", "link", link, LINKS)
+    one_of("cumulative_link", "test", test, (None, *TESTS))
     frame = model_frame("cumulative_link", table, formula, random)
     codes, levels = coded(table.iloc[frame.rows], frame.response)
     names = [f"{_plain(a)}|{_plain(b)}" for a, b in itertools.pairwise(levels)]
@@ -77,18 +91,8 @@ def cumulative_link(
         return _nothing(frame, [*names, *terms], UNDEFINED, note, what)
     labels = [*names, *(terms[k] for k in used)]
     aliased = [t for k, t in enumerate(terms) if k not in set(used.tolist())]
-    return _fit(
-        frame,
-        Bounds(upper, lower, top, bottom, np.ones(n)),
-        start,
-        labels,
-        aliased,
-        link,
-        nodes,
-        j,
-        what,
-        np.ones(j + q),
-    )
+    bounds = Bounds(upper, lower, top, bottom, np.ones(n), np.zeros((n, 2)))
+    return _fit(frame, ThresholdModel(bounds, [], start, link, nodes, j), labels, aliased, what, test)
 
 
 def binomial_mixed(
@@ -97,16 +101,21 @@ def binomial_mixed(
     random: str | Sequence[str] | None = None,
     link: str = "logit",
     nodes: int = 21,
-    likelihood_ratio: bool = False,
+    test: str | None = None,
 ) -> pd.DataFrame:
     """Logistic (or probit) regression of a true/false answer with a random intercept per participant.
 
     ``formula`` 'chosen ~ a * b'; the response is boolean, 0 / 1, or two levels of which the second counts as success.
     Terms in R's names, ``(Intercept)`` first; ``random``, ``nodes``, ``attrs`` and statuses as in ``cumulative_link``.
-    ``likelihood_ratio``: each term is also tested by the fit without it (columns ``p_lr``, ``log10_p_lr``, chi-square
-    on 1 df), which keeps the 5 % better than Wald's z with a dozen participants (tests.prove.statistics_calibration).
+
+    ``test`` says where p and the interval come from (``z`` = estimate / se is Wald's always). None is the usual one:
+    'participants' with one random intercept: the score test whose unit is the participant (columns ``t``, ``df``;
+    `analysis.participant_score`), which keeps the 5 % with a dozen participants, whatever they differ in;
+    'likelihood_ratio' with several: columns ``chi2`` (1 df), profile-likelihood intervals; 'wald' without any. An
+    interval that does not close has an infinite end and a status; where the answers are separated it is one-sided.
     """
     one_of("binomial_mixed", "link", link, LINKS[:2])
+    one_of("binomial_mixed", "test", test, (None, *TESTS))
     frame = model_frame("binomial_mixed", table, formula, random)
     part = table.iloc[frame.rows]
     try:
@@ -126,25 +135,12 @@ def binomial_mixed(
     labels, x = [frame.terms[k] for k in used], frame.x[:, used]
     one = y == 1
     # P(1) = 1 - F(-x'b - u): the bounds are -x'b, below for a success and above for a failure.
-    bounds = Bounds(np.where(one[:, None], 0.0, -x), np.where(one[:, None], -x, 0.0), one, ~one, np.ones(len(y)))
+    upper, lower = np.where(one[:, None], 0.0, -x), np.where(one[:, None], -x, 0.0)
+    bounds = Bounds(upper, lower, one, ~one, np.ones(len(y)), np.zeros((len(y), 2)))
     what = f"Binomial {link} model, {formula}"
     if not len(y):
-        made = _nothing(frame, [*labels, *aliased], UNDEFINED, "no valid answer", what)
-        return made.assign(p_lr=math.nan, log10_p_lr=math.nan) if likelihood_ratio else made
-    made = _fit(frame, bounds, np.zeros(len(used)), labels, aliased, link, nodes, 0, what, np.ones(len(used)))
-    if not likelihood_ratio:
-        return made
-    made["p_lr"], made["log10_p_lr"] = math.nan, math.nan
-    for k in np.flatnonzero(made["status"].isin([OK, BOUNDARY]) & made["term"].isin(labels)):
-        rest = [j for j in range(len(used)) if j != k]
-        without = Bounds(bounds.upper[:, rest], bounds.lower[:, rest], one, ~one, bounds.weight)
-        names = [labels[j] for j in rest]
-        null = _fit(frame, without, np.zeros(len(rest)), names, [], link, nodes, 0, what, np.ones(len(rest)))
-        gain = 2 * (made.attrs["log_likelihood"] - null.attrs["log_likelihood"])
-        # the square root of chi-square on 1 df is the absolute value of z
-        root = math.sqrt(max(gain, 0.0)) if not math.isnan(gain) else math.nan
-        made.loc[k, ["p_lr", "log10_p_lr"]] = [p_z(root), log10_z(root)]
-    return made
+        return _nothing(frame, [*labels, *aliased], UNDEFINED, "no valid answer", what)
+    return _fit(frame, ThresholdModel(bounds, [], np.zeros(len(used)), link, nodes, 0), labels, aliased, what, test)
 
 
 def _plain(level: Any) -> str:
@@ -171,16 +167,7 @@ def _nothing(frame: ModelFrame, terms: list[str], status: str, note: str, what: 
 
 
 def _fit(
-    frame: ModelFrame,
-    bounds: Bounds,
-    start: np.ndarray,
-    labels: list[str],
-    aliased: list[str],
-    link: str,
-    nodes: int,
-    thresholds: int,
-    what: str,
-    sign: np.ndarray,
+    frame: ModelFrame, model: ThresholdModel, labels: list[str], aliased: list[str], what: str, test: str | None
 ) -> pd.DataFrame:
     """Fit, and make the table: one row a threshold or term, then aliased terms and factors with one level."""
     status, note = OK, ""
@@ -190,30 +177,23 @@ def _fit(
             return _nothing(frame, [*labels, *aliased, *frame.empty], TOO_FEW_SUBJECTS, lacking, what)
     m = len(frame.random)
     codes_and_designs = [*(term.codes for term in frame.random), *(term.design for term in frame.random)]
-    bounds, parts = collapsed(bounds, codes_and_designs)
+    bounds, parts = collapsed(model.bounds, codes_and_designs)
     random = [replace(t, codes=c, design=d) for t, c, d in zip(frame.random, parts[:m], parts[m:], strict=True)]
+    model = replace(model, bounds=bounds, random=random)
+    test = test or usual_test(model)
+    if test == PARTICIPANTS and not model.one_intercept:
+        raise InputError(problem("test", "random", _random_text(frame), "one random intercept, and nodes above 1"))
     direction = separation_direction(bounds)
     if direction is not None:
-        return _separated(frame, direction, labels, aliased, what)
-    fit = fit_fixed(bounds, start, link)
-    random_sd: dict[str, float] = {}
-    extra: dict[str, Any] = {}
-    if nodes > 1 and m == 1 and (random[0].design == 1).all():
-        fit = fit_mixed(bounds, random[0].codes, fit, link, nodes, thresholds)
-        random_sd[random[0].name] = fit.sd
-        extra["random_sd_se"] = fit.sd_se
-        how = f"adaptive Gauss-Hermite quadrature, {nodes} nodes"
-    elif random:
-        fit, found = fit_crossed(bounds, random, fit, link, thresholds)
-        random_sd = found
-        how = "Laplace approximation"
-    else:
-        how = "maximum likelihood"
+        return _separated(frame, model, direction, labels, aliased, what, test)
+    fit, random_sd = model.maximum()
     if any(sd == 0 for sd in random_sd.values()):
         status, note = BOUNDARY, "a random intercept's SD is estimated as 0: the model is that without it"
     if not fit.converged:
         status, note = NOT_CONVERGED, "the search for the maximum did not end"
     rows = [_row(label, fit, k, status, note) for k, label in enumerate(labels)]
+    if test != WALD:
+        put_tests(model, fit, rows, test)
     rows += _aliased_rows(aliased, "is a linear combination of other terms")
     rows += _aliased_rows(frame.empty, "has one level")
     count = len(labels) + len(random_sd)
@@ -223,10 +203,30 @@ def _fit(
         "n": len(frame.rows),
         "random_sd": random_sd,
         "covariance": fit.covariance.tolist(),
-        **extra,
+        "test": test,
+        **({"random_sd_se": fit.sd_se} if model.one_intercept else {}),
     }
-    method = f"{what}; {', '.join(f'(1|{name})' for name in random_sd) or 'no random effects'}; {how}."
-    return result_table(rows, COLUMNS, method=method, n_subjects=_groups(frame), dropped=frame.dropped, attrs=attrs)
+    method = f"{what}; {_random_text(frame)}; {model.method}; {_HOW_TESTED[test]}."
+    return result_table(
+        rows, _columns(test), method=method, n_subjects=_groups(frame), dropped=frame.dropped, attrs=attrs
+    )
+
+
+_HOW_TESTED = {
+    PARTICIPANTS: "terms are tested by the score with the participant as the unit (t), and intervals hold what that "
+    "test does not reject",
+    LIKELIHOOD_RATIO: "terms are tested by the likelihood ratio, with profile-likelihood intervals",
+    WALD: "Wald tests and intervals",
+}
+
+
+def _columns(test: str) -> list[str]:
+    """Column names of the result: the test's own statistic stands after Wald's z."""
+    return [*COLUMNS[:4], *STATISTICS[test], *COLUMNS[4:]]
+
+
+def _random_text(frame: ModelFrame) -> str:
+    return ", ".join(f"(1|{term.name})" for term in frame.random) or "no random effects"
 
 
 def _row(label: str, fit: ThresholdFit, k: int, status: str, note: str) -> dict[str, Any]:
@@ -243,19 +243,29 @@ def _aliased_rows(terms: list[str], why: str) -> list[dict[str, Any]]:
 
 
 def _separated(
-    frame: ModelFrame, direction: np.ndarray, labels: list[str], aliased: list[str], what: str
-) -> pd.DataFrame:
-    """No finite maximum: infinite where the likelihood grows without end, nan elsewhere."""
+    frame: ModelFrame, model: ThresholdModel, direction: np.ndarray, labels: list[str], aliased: list[str], what: str,
+    test: str,
+) -> pd.DataFrame:  # fmt: skip
+    """No finite maximum: infinite where the likelihood grows without end, nan elsewhere.
+
+    Where one term alone separates, its p and the finite end of its interval are the likelihood ratio's.
+    """
     rows = []
-    for label, d in zip(labels, direction, strict=True):
-        grows = abs(d) > 1e-9 * float(np.max(np.abs(direction)))
+    grows = np.abs(direction) > 1e-9 * float(np.max(np.abs(direction)))
+    for k, (label, d) in enumerate(zip(labels, direction, strict=True)):
         row: dict[str, Any] = {"term": label, **dict.fromkeys(COLUMNS[1:], math.nan), "status": SEPARATED}
-        if grows:
+        if grows[k]:
             row |= {"estimate": math.copysign(math.inf, d), "se": math.inf, "ci_low": -math.inf, "ci_high": math.inf}
             row["note"] = "the answers are separated: the likelihood grows without end along this term"
+            found = separated_test(model, k, d) if k >= model.thresholds else None
+            if found is not None:
+                row |= {"p": found.p, "log10_p": found.log10_p, "ci_low": found.ci_low, "ci_high": found.ci_high}
+                row["note"] += "; p and the interval's finite end, where there are any, are the likelihood ratio's"
         else:
             row["note"] = "other terms separate the answers: no finite maximum of the likelihood"
         rows.append(row)
     rows += _aliased_rows([*aliased, *frame.empty], "has no coefficient of its own")
-    attrs = {"log_likelihood": math.nan, "random_sd": {}, "n": len(frame.rows)}
-    return result_table(rows, COLUMNS, method=what, n_subjects=_groups(frame), dropped=frame.dropped, attrs=attrs)
+    attrs = {"log_likelihood": math.nan, "random_sd": {}, "n": len(frame.rows), "test": test}
+    return result_table(
+        rows, _columns(test), method=what, n_subjects=_groups(frame), dropped=frame.dropped, attrs=attrs
+    )

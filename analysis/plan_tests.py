@@ -148,12 +148,12 @@ def _binomial_mixed(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.Da
     if test.dv == "choice":
         own = _chosen(own, test)
     formula = str(test.options.get("formula") or f"{dv} ~ 1")
-    return analysis.binomial_mixed(own, formula, random=_random_terms(own, test, formula), likelihood_ratio=True)
+    return analysis.binomial_mixed(own, formula, random=_random_terms(own, test, formula))
 
 
 def _cumulative_link(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.DataFrame:
     formula = _formula(own, dv, test)
-    return analysis.cumulative_link(own, formula, random=_random_terms(own, test, formula))
+    return analysis.cumulative_link(own, formula, random=_random_terms(own, test, formula), test=None)
 
 
 def _linear_mixed(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.DataFrame:

@@ -103,12 +103,20 @@ def maximise(reml: Reml, start: np.ndarray) -> tuple[np.ndarray, bool]:
 
     best: tuple[float, np.ndarray] | None = None
     for ratio in (1.0, 0.1) if len(reml.owner) < 150 else (0.7,):
-        found = optimize.minimize(
-            objective, np.full(k, ratio), jac=True, method="L-BFGS-B", bounds=[(0.0, 1e4)] * k,
-            options={"ftol": 1e-11, "gtol": 1e-6, "maxiter": 500},
-        )  # fmt: skip
-        if best is None or found.fun < best[0]:
-            best = (float(found.fun), found.x)
+        start_at = np.full(k, ratio)
+        for _ in range(1 + k):
+            found = optimize.minimize(
+                objective, start_at, jac=True, method="L-BFGS-B", bounds=[(0.0, 1e4)] * k,
+                options={"ftol": 1e-11, "gtol": 1e-6, "maxiter": 500},
+            )  # fmt: skip
+            if best is None or found.fun < best[0]:
+                best = (float(found.fun), found.x)
+            # By standard deviations the likelihood is level at 0, and a search that touched 0 stays there: its slope
+            # by the variance says whether 0 is the maximum.
+            stuck = (found.x < 1e-4) & _rises(reml, found.x)
+            if not stuck.any():
+                break
+            start_at = np.where(stuck, 0.3, found.x)
     assert best is not None
     ratios = np.concatenate([[1.0], best[1] ** 2])
     variances = ratios * max(reml.state(ratios)["y_p_y"], 1e-300) / (reml.n - reml.p)
@@ -130,3 +138,10 @@ def maximise(reml: Reml, start: np.ndarray) -> tuple[np.ndarray, bool]:
         variances = trial
     gradient = reml.state(variances)["gradient"][free] * variances[free]
     return variances, converged or bool(np.max(np.abs(gradient)) < 1e-3)
+
+
+def _rises(reml: Reml, ratios: np.ndarray) -> np.ndarray:
+    """Which variances the profile likelihood would have larger, at these ratios of standard deviations."""
+    state = reml.state(np.concatenate([[1.0], ratios**2]))
+    slope = state["square"] * (reml.n - reml.p) / max(state["y_p_y"], 1e-300) - state["trace"]
+    return np.asarray(slope > 1e-6 * np.abs(state["trace"]))

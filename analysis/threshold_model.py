@@ -20,17 +20,32 @@ LINKS = ("logit", "probit", "cloglog")
 
 @dataclass(frozen=True)
 class Bounds:
-    """``upper``, ``lower`` (rows, parameters), where they are infinite, and how many observations a row stands for."""
+    """``upper``, ``lower`` (rows, parameters), where they are infinite, and how many observations a row stands for.
+
+    ``added`` (rows, 2): what known parameters add to the upper and the lower bound.
+    """
 
     upper: np.ndarray
     lower: np.ndarray
     no_upper: np.ndarray
     no_lower: np.ndarray
     weight: np.ndarray
+    added: np.ndarray
 
     def rows(self, index: np.ndarray) -> Bounds:
         """Some rows, or the rows in another order."""
-        return Bounds(*(part[index] for part in (self.upper, self.lower, self.no_upper, self.no_lower, self.weight)))
+        parts = (self.upper, self.lower, self.no_upper, self.no_lower, self.weight, self.added)
+        return Bounds(*(part[index] for part in parts))
+
+    def known(self, k: int, value: float) -> Bounds:
+        """The model in which parameter ``k`` is known to be ``value``."""
+        added = self.added + value * np.column_stack([self.upper[:, k], self.lower[:, k]])
+        upper, lower = np.delete(self.upper, k, axis=1), np.delete(self.lower, k, axis=1)
+        return Bounds(upper, lower, self.no_upper, self.no_lower, self.weight, added)
+
+    def at(self, phi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Upper and lower bounds (rows,) without the random part."""
+        return self.upper @ phi + self.added[:, 0], self.lower @ phi + self.added[:, 1]
 
     def terms(self, a: np.ndarray, b: np.ndarray, link: str) -> tuple[np.ndarray, ...]:
         """``point_terms`` times the rows' weights; ``a``, ``b`` (rows,) or (rows, nodes)."""
@@ -43,7 +58,7 @@ class Bounds:
 def collapsed(bounds: Bounds, groups: list[np.ndarray]) -> tuple[Bounds, list[np.ndarray]]:
     """Equal observations of equal groups as one row with a weight: what a study with few conditions comes down to."""
     key = np.zeros(len(bounds.weight), dtype=np.int64)
-    columns = [*bounds.upper.T, *bounds.lower.T, bounds.no_upper, bounds.no_lower, *groups]
+    columns = [*bounds.upper.T, *bounds.lower.T, bounds.no_upper, bounds.no_lower, *bounds.added.T, *groups]
     for column in columns:
         codes, unique = pd.factorize(column)
         key = pd.factorize(key * len(unique) + codes)[0].astype(np.int64)
@@ -51,7 +66,7 @@ def collapsed(bounds: Bounds, groups: list[np.ndarray]) -> tuple[Bounds, list[np
     made = bounds.rows(first)
     weight = np.bincount(key, weights=bounds.weight, minlength=len(first))
     return (
-        Bounds(made.upper, made.lower, made.no_upper, made.no_lower, weight),
+        Bounds(made.upper, made.lower, made.no_upper, made.no_lower, weight, made.added),
         [group[first] for group in groups],
     )
 
@@ -123,7 +138,7 @@ def fit_fixed(bounds: Bounds, start: np.ndarray, link: str) -> ThresholdFit:
     """Newton's method with step halving; the links' log-likelihoods are concave."""
 
     def evaluate(phi: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-        a, b = bounds.upper @ phi, bounds.lower @ phi
+        a, b = bounds.at(phi)
         crossed = ~bounds.no_upper & ~bounds.no_lower & (a <= b)
         if crossed.any():
             return -math.inf, phi, np.zeros((0, 0))
@@ -179,7 +194,7 @@ class Quadrature:
 
     def evaluate(self, phi: np.ndarray, sd: float) -> tuple[float, np.ndarray]:
         """Log-likelihood and its gradient by (phi, sd)."""
-        a, b = self.bounds.upper @ phi, self.bounds.lower @ phi
+        a, b = self.bounds.at(phi)
         u, curve = self._modes(a, b, sd)
         tau = 1 / np.sqrt(curve)
         points = u[:, None] + math.sqrt(2) * tau[:, None] * self.t
@@ -192,6 +207,35 @@ class Quadrature:
         by_sd = -float(np.sum(posterior * (ga + gb) * points[self.codes]))
         gradient = self.bounds.upper.T @ mean_a + self.bounds.lower.T @ mean_b
         return log_likelihood, np.append(gradient, by_sd)
+
+    def expansion(self, phi: np.ndarray, sd: float) -> tuple[float, np.ndarray, np.ndarray]:
+        """Log-likelihood, every group's score by (phi, sd) (groups, parameters), and the observed information.
+
+        Fisher's identity and Louis's (1982): score E[s], information -E[h] - Var(s), over a group's random intercept.
+        """
+        upper, lower = self.bounds.upper, self.bounds.lower
+        a, b = self.bounds.at(phi)
+        u, curve = self._modes(a, b, sd)
+        tau = 1 / np.sqrt(curve)
+        points = u[:, None] + math.sqrt(2) * tau[:, None] * self.t
+        value, ga, gb, haa, hbb, hab = self._terms(a, b, sd * points[self.codes])
+        joint = self._sum(value) - points**2 / 2 + self.log_weight
+        total = special.logsumexp(joint, axis=1)
+        posterior = np.exp(joint - total[:, None])
+        # a column at a time: what is kept is (groups, nodes), never (rows, nodes, parameters)
+        at_nodes = [self._sum(up[:, None] * ga + low[:, None] * gb) for up, low in zip(upper.T, lower.T, strict=True)]
+        slopes = np.stack([*at_nodes, -self._sum(ga + gb) * points])
+        scores = np.einsum("gk,dgk->gd", posterior, slopes)
+        spread = np.einsum("gk,dgk,egk->de", posterior, slopes, slopes, optimize=True) - scores.T @ scores
+        weight = posterior[self.codes]
+        by_a, by_b = np.sum(weight * haa, axis=1), np.sum(weight * hbb, axis=1)
+        cross = upper.T @ (np.sum(weight * hab, axis=1)[:, None] * lower)
+        weight = weight * points[self.codes]
+        by_sd = -upper.T @ np.sum(weight * (haa + hab), axis=1) - lower.T @ np.sum(weight * (hbb + hab), axis=1)
+        twice_sd = np.sum(weight * points[self.codes] * (haa + hbb + 2 * hab))
+        of_phi = upper.T @ (by_a[:, None] * upper) + lower.T @ (by_b[:, None] * lower) + cross + cross.T
+        curvature = np.block([[of_phi, by_sd[:, None]], [by_sd[None, :], np.full((1, 1), twice_sd)]])
+        return float(np.sum(total + np.log(tau) - 0.5 * math.log(math.pi))), scores, -curvature - spread
 
     def _modes(self, a: np.ndarray, b: np.ndarray, sd: float) -> tuple[np.ndarray, np.ndarray]:
         """Most likely u of every group and the curvature there, by Newton's method (concave in u)."""
@@ -234,42 +278,35 @@ def fit_mixed(
     start = np.append(fixed.phi, 0.7)
     if thresholds > 1:
         start[1:thresholds] = np.log(np.diff(fixed.phi[:thresholds]))
-    found = optimize.minimize(objective, start, jac=True, method="BFGS", options={"gtol": 1e-6, "maxiter": 500})
-    theta = np.append(natural(found.x), abs(found.x[-1]))
-    if found.fun >= 1e10 or theta[-1] > 100.0:
-        nothing = np.full(len(fixed.phi), math.nan)
-        return ThresholdFit(nothing, np.diag(nothing), math.nan, math.inf, math.nan, False)
-    value, gradient = quadrature.evaluate(theta[:-1], theta[-1])
-    if theta[-1] < 1e-3 or value <= fixed.log_likelihood + 1e-9:
+    for start[-1] in (0.7, 0.2):
+        found = optimize.minimize(objective, start, jac=True, method="BFGS", options={"gtol": 1e-6, "maxiter": 500})
+        theta = np.append(natural(found.x), abs(found.x[-1]))
+        if found.fun >= 1e10 or theta[-1] > 100.0:
+            nothing = np.full(len(fixed.phi), math.nan)
+            return ThresholdFit(nothing, np.diag(nothing), math.nan, math.inf, math.nan, False)
+        if theta[-1] >= 1e-3 and -found.fun > fixed.log_likelihood + 1e-9:
+            break
+        # The likelihood is level at SD 0, where a search may rest: its curvature says whether 0 is the maximum.
+        if quadrature.expansion(fixed.phi, 0.0)[2][-1, -1] >= 0:
+            break
+    if theta[-1] < 1e-3 or -found.fun <= fixed.log_likelihood + 1e-9:
         return ThresholdFit(fixed.phi, fixed.covariance, fixed.log_likelihood, 0.0, math.nan, fixed.converged)
+    value, scores, information = quadrature.expansion(theta[:-1], theta[-1])
     for _ in range(4):
-        # Newton steps on the gradient, with its own numerical derivative, to the last digits.
-        hessian = _derivative(quadrature, theta)
-        step = np.linalg.lstsq(-hessian, gradient, rcond=None)[0]
+        # Newton's steps to the last digits.
+        gradient = scores.sum(axis=0)
+        step = np.linalg.lstsq(information, gradient, rcond=None)[0]
         trial = theta + step
         ordered = thresholds < 2 or bool(np.all(np.diff(trial[:thresholds]) > 0))
         if not ordered or trial[-1] <= 0 or float(np.max(np.abs(step))) > 1.0:
             break
-        new_value, new_gradient = quadrature.evaluate(trial[:-1], trial[-1])
-        if not np.max(np.abs(new_gradient)) < np.max(np.abs(gradient)):
+        reached = quadrature.expansion(trial[:-1], trial[-1])
+        if not np.max(np.abs(reached[1].sum(axis=0))) < np.max(np.abs(gradient)):
             break
-        theta, value, gradient = trial, new_value, new_gradient
+        theta, (value, scores, information) = trial, reached
         if float(np.max(np.abs(step))) < 1e-9:
             break
-    covariance = np.linalg.pinv(-_derivative(quadrature, theta), hermitian=True)
-    converged = bool(np.max(np.abs(gradient)) < 1e-4 * (1 + abs(value)) ** 0.5)
+    covariance = np.linalg.pinv(information, hermitian=True)
+    converged = bool(np.max(np.abs(scores.sum(axis=0))) < 1e-4 * (1 + abs(value)) ** 0.5)
     sd_se = math.sqrt(max(float(covariance[-1, -1]), 0.0))
     return ThresholdFit(theta[:-1], covariance[:-1, :-1], value, float(theta[-1]), sd_se, converged)
-
-
-def _derivative(quadrature: Quadrature, theta: np.ndarray) -> np.ndarray:
-    """Central differences of the gradient, symmetrised."""
-    size = len(theta)
-    hessian = np.zeros((size, size))
-    for j in range(size):
-        h = 1e-4 * max(1.0, abs(theta[j]))
-        up, down = theta.copy(), theta.copy()
-        up[j] += h
-        down[j] -= h
-        hessian[j] = (quadrature.evaluate(up[:-1], up[-1])[1] - quadrature.evaluate(down[:-1], down[-1])[1]) / (2 * h)
-    return (hessian + hessian.T) / 2

@@ -217,9 +217,31 @@ def test_likelihood_ratio_of_a_logistic_regression_is_its_deviance() -> None:
     counts = {("a", 1): 12, ("a", 0): 8, ("b", 1): 5, ("b", 0): 15}
     rows = [(x, y) for (x, y), n in counts.items() for _ in range(n)]
     table = pd.DataFrame(rows, columns=["x", "y"])
-    made = analysis.binomial_mixed(table, "y ~ x", likelihood_ratio=True).set_index("term")
+    made = analysis.binomial_mixed(table, "y ~ x", test="likelihood_ratio").set_index("term")
     observed = np.array([[12.0, 8.0], [5.0, 15.0]])
     expected = np.outer(observed.sum(axis=1), observed.sum(axis=0)) / observed.sum()
     g2 = 2 * float(np.sum(observed * np.log(observed / expected)))
-    assert made.loc["xb", "p_lr"] == pytest.approx(stats.chi2.sf(g2, 1), rel=1e-8)
-    assert 10 ** made.loc["xb", "log10_p_lr"] == pytest.approx(made.loc["xb", "p_lr"], rel=1e-10)
+    assert made.loc["xb", "chi2"] == pytest.approx(g2, rel=1e-8)
+    assert made.loc["xb", "p"] == pytest.approx(stats.chi2.sf(g2, 1), rel=1e-8)
+    assert 10 ** made.loc["xb", "log10_p"] == pytest.approx(made.loc["xb", "p"], rel=1e-10)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_search_for_variances_does_not_rest_at_zero_where_more_is_likelier(seed: int) -> None:
+    """Balanced: t of a contrast within participants is that of the interaction's mean square, where it is above 0."""
+    n, levels, repetitions = 24, 3, 12
+    rng = np.random.default_rng(seed)
+    own = rng.normal(size=(n, 1, 1)) + 0.5 * rng.normal(size=(n, levels, 1))
+    y = own + rng.logistic(size=(n, levels, repetitions))
+    who, c, _ = (part.ravel() for part in np.indices(y.shape))
+    table = pd.DataFrame({"who": who, "c": np.array(["a", "b", "d"], dtype=object)[c], "y": y.ravel()})
+    made = analysis.linear_mixed(table, "y ~ c", random=["(1|who)", "(1|who:c)"])
+    cell = y.mean(axis=2)
+    left = cell - cell.mean(axis=1, keepdims=True) - cell.mean(axis=0) + cell.mean()
+    between = float(np.sum(left**2)) / ((n - 1) * (levels - 1))
+    within = float(np.sum((y - cell[:, :, None]) ** 2)) / (n * levels * (repetitions - 1)) / repetitions
+    assert made.attrs["variances"]["who:c"] == pytest.approx(max(between - within, 0.0), rel=1e-5, abs=1e-9)
+    if between > within:
+        t = float(cell[:, 1].mean() - cell[:, 0].mean()) / math.sqrt(2 * between / n)
+        assert made["t"].iloc[1] == pytest.approx(t, rel=1e-7)
+        assert made["df"].iloc[1] == pytest.approx((n - 1) * (levels - 1), rel=1e-6)

@@ -1,0 +1,201 @@
+"""Tests and intervals whose unit is the participant, for threshold models with one random intercept.
+
+The score of a coefficient at a value c, all else at its maximum there, is a sum of one contribution a participant.
+Their own spread is its error (the robust, or generalised, score test: Boos 1992, Am. Stat. 46, 327; Rotnitzky & Jewell
+1990, Biometrika 77, 485), so that participants who differ in an effect do not make it significant. With n contributions
+T^2 = S^2 / sum of squares is n t^2 / (df + t^2) of their one-sample t, and t with df degrees of freedom is the cut-off
+(of the small-sample forms in Guo et al. 2005, Stat. Med. 24, 3479, the exact one for normal contributions). The
+interval holds every c that is not rejected.
+
+What was compared, 20,000 null studies of 12 answers by each of 12 or 24 participants who differ by 0, 0.5 or 1 logit
+(and by 0 or 0.3 per scene): this test rejects 4.7 to 5.3 %; the likelihood ratio against chi-square 4.1 to 6.5 %, since
+it is conservative where the SD is 0 and liberal where it is not; the same against F(1, n - 1) 1.8 to 4.6 %; the
+robust score against chi-square 4.2 to 5.1 %.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import optimize, special
+
+from analysis.log_tails import log10_t, p_t
+from analysis.threshold_model import Bounds, Quadrature, ThresholdFit
+
+# With random intercepts this far apart (logits) nearly every participant always answers the same: more says no more.
+MAX_SD = 20.0
+
+
+@dataclass(frozen=True)
+class TermTest:
+    """``statistic`` (t, or the signed root of the deviance) at 0, its ``df``, p, and the interval of ``level``.
+
+    An end of the interval is infinite where no value on that side is rejected; ``closed`` is then False. Nan where the
+    contributions at 0 are all 0. ``converged``: there is a maximum at 0.
+    """
+
+    statistic: float
+    df: float
+    p: float
+    log10_p: float
+    ci_low: float
+    ci_high: float
+    converged: bool = True
+
+    @property
+    def closed(self) -> bool:
+        """The interval has both ends."""
+        return math.isfinite(self.ci_low) and math.isfinite(self.ci_high)
+
+
+def rejected_from(statistic: Callable[[float], float], estimate: float, step: float, cut: float) -> float:
+    """The value on ``step``'s side of the estimate where the statistic is ``cut`` in size; infinite where it never is.
+
+    ``statistic`` is about 0 at the estimate; it may return nan where the model has no maximum: nothing is rejected
+    there.
+    """
+
+    def excess(value: float) -> float:
+        size = abs(statistic(value))
+        return -cut if math.isnan(size) else min(size, 1e6) - cut
+
+    if excess(estimate) >= 0:
+        return estimate
+    inner, reach = estimate, step
+    for _ in range(8):
+        outer = estimate + reach
+        if excess(outer) >= 0:
+            return float(optimize.brentq(excess, inner, outer, xtol=1e-9 * abs(step)))
+        inner, reach = outer, 2 * reach
+    return math.copysign(math.inf, step)
+
+
+class ParticipantScore:
+    """Score tests of single coefficients; keeps the last maximum as the next start."""
+
+    def __init__(self, bounds: Bounds, groups: np.ndarray, fit: ThresholdFit, link: str, nodes: int, ordered: int):
+        self.quadrature = Quadrature(bounds, groups, link, nodes)
+        self.ordered = ordered
+        self.best = np.append(fit.phi, min(fit.sd, MAX_SD))
+        self.start = self.best
+        self.se = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
+        self.between = _constant_in_groups(bounds, groups)
+
+    def df(self, k: int) -> int:
+        """Participants less the columns that differ only between them, the intercept or thresholds as one."""
+        n = len(self.quadrature.starts)
+        columns = self.between[self.ordered :] if self.ordered else self.between
+        spent = int(columns.sum()) + int(self.ordered > 0)
+        return n - spent if self.between[k] else n - 1
+
+    def test(self, k: int, level: float) -> TermTest:
+        """Coefficient ``k`` against 0, and its interval."""
+        df, estimate = self.df(k), float(self.best[k])
+        self.start = self.best
+        converged = constrained(self.quadrature, self.best, k, 0.0, self.ordered) is not None
+        statistic = self.statistic(k, 0.0)
+        if math.isnan(statistic):
+            return TermTest(math.nan, df, math.nan, math.nan, math.nan, math.nan, converged)
+        cut = float(special.stdtrit(df, 0.5 + level / 2))
+        ends = []
+        for side in (-1.0, 1.0):
+            self.start = self.best
+            step = side * min(cut, 5.0) * float(self.se[k])
+            ends.append(rejected_from(lambda c: self.statistic(k, c), estimate, step, cut))
+        low, high = ends
+        return TermTest(statistic, df, p_t(statistic, df), log10_t(statistic, df), low, high)
+
+    def statistic(self, k: int, value: float) -> float:
+        """t of the participants' contributions to the score at ``value``; positive where the estimate is larger."""
+        theta = constrained(self.quadrature, self.start, k, value, self.ordered)
+        if theta is None:
+            return math.nan
+        self.start = theta
+        _, scores, information = self.quadrature.expansion(theta[:-1], theta[-1])
+        at_edge = theta[-1] in (0.0, MAX_SD)
+        rest = [j for j in range(len(theta) - int(at_edge)) if j != k]
+        own = scores[:, k]
+        if rest:
+            # what the other parameters take up of the score is theirs
+            own = own - scores[:, rest] @ np.linalg.lstsq(information[np.ix_(rest, rest)], information[rest, k])[0]
+        n, df = len(own), self.df(k)
+        total, squares = float(own.sum()), float(own @ own)
+        if not squares > 0:
+            return math.nan
+        left = n - total**2 / squares
+        return math.copysign(math.inf if left <= 1e-12 * n else math.sqrt(df / left / squares) * abs(total), total)
+
+
+def constrained(quadrature: Quadrature, start: np.ndarray, k: int, value: float, ordered: int) -> np.ndarray | None:
+    """(phi, sd) of the largest likelihood with phi[k] = ``value`` (sd to ``MAX_SD``); None: no maximum."""
+    theta: np.ndarray | None = start.copy()
+    assert theta is not None
+    theta[k] = value
+    free = [j for j in range(len(theta) - 1) if j != k]
+    if theta[-1] == 0:
+        theta = _climbed(quadrature, theta, free, ordered)
+        # at SD 0 the likelihood is level in it: its curvature says whether more is better
+        if theta is None or quadrature.expansion(theta[:-1], 0.0)[2][-1, -1] >= 0:
+            return theta
+        theta[-1] = 0.3
+    theta = _climbed(quadrature, theta, [*free, len(theta) - 1], ordered)
+    if theta is not None and theta[-1] < 1e-3:
+        theta[-1] = 0.0
+        return _climbed(quadrature, theta, free, ordered)
+    return theta
+
+
+def _climbed(quadrature: Quadrature, theta: np.ndarray, free: list[int], ordered: int) -> np.ndarray | None:
+    """Newton's method from ``theta`` over its ``free`` entries, with step halving."""
+    value, scores, information = quadrature.expansion(theta[:-1], theta[-1])
+    for _ in range(60):
+        if theta[-1] == MAX_SD and scores[:, -1].sum() > 0:
+            free = [j for j in free if j < len(theta) - 1]
+        gradient = scores.sum(axis=0)[free]
+        step = _uphill(information[np.ix_(free, free)], gradient)
+        gain, factor = float(gradient @ step), 1.0
+        if gain < 1e-18:
+            return theta
+        while factor > 1e-6:
+            trial = theta.copy()
+            trial[free] += factor * step
+            # the likelihood does not know the sign of the standard deviation
+            trial[-1] = min(abs(trial[-1]), MAX_SD)
+            if np.all(np.diff(trial[:ordered]) > 0):
+                reached = quadrature.expansion(trial[:-1], trial[-1])
+                if reached[0] >= value - 1e-12 * (1 + abs(value)):
+                    break
+            factor /= 2
+        else:
+            return theta if gain < 1e-9 else None
+        theta, (value, scores, information) = trial, reached
+    return None
+
+
+def _uphill(information: np.ndarray, gradient: np.ndarray) -> np.ndarray:
+    """Newton's step; where the information is not positive definite, with a ridge that makes it so."""
+    if not len(gradient):
+        return gradient
+    scale = np.sqrt(np.maximum(np.abs(np.diag(information)), 1e-300))
+    scaled = information / np.outer(scale, scale)
+    ridge = 0.0
+    while True:
+        try:
+            factor = np.linalg.cholesky(scaled + ridge * np.eye(len(scale)))
+        except np.linalg.LinAlgError:
+            ridge = max(1e-3, 4 * ridge)
+            continue
+        half = np.linalg.solve(factor, gradient / scale)
+        return np.asarray(np.linalg.solve(factor.T, half) / scale)
+
+
+def _constant_in_groups(bounds: Bounds, groups: np.ndarray) -> np.ndarray:
+    """Which parameters' columns have one value in every group: what differs between participants only."""
+    x = np.where(bounds.no_upper[:, None], bounds.lower, bounds.upper)
+    order = np.argsort(groups, kind="stable")
+    starts = np.flatnonzero(np.diff(groups[order], prepend=-1))
+    low, high = np.minimum.reduceat(x[order], starts), np.maximum.reduceat(x[order], starts)
+    return np.asarray((low == high).all(axis=0))
