@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from protocols.blocks import PAIR_KINDS, WORD_KINDS, Block, ExplicitTrial
+from protocols.blocks import PAIR_KINDS, SIDE_BY_SIDE_KINDS, WORD_KINDS, Block, ExplicitTrial
 from protocols.condition_references import parameter_problems
 from protocols.names import OWN_COLUMNS, Declared, Loc, Problem, unknown
 from protocols.study import Study, varied_name
@@ -29,6 +29,7 @@ def block_problems(study: Study, names: Declared, index: int, block: Block) -> I
         yield from _factor(names, name, levels, (*loc, "factors", name), f"{what}.factors.{name}")
     yield from names.settings(block.set.model_dump(exclude_none=True), (*loc, "set"), f"{what}.set")
     yield from _compare(study, names, block, loc, what)
+    yield from _one_gaze(study, block, loc, what)
     yield from _adaptive(study, names, block, loc, what)
     columns = {*block.factors, *OWN_COLUMNS, "cell"}
     for key in ("max_in_a_row", "min_distance"):
@@ -101,15 +102,30 @@ def _compare(study: Study, names: Declared, block: Block, loc: Loc, what: str) -
     for word in compare.spread_over:
         if word not in block.factors:
             yield unknown((*loc, "compare", "spread_over"), f"{what}.compare.spread_over", word, list(block.factors))
-    if block.kind in ("side_by_side", "forced_choice"):
-        shown = study.all_conditions()
-        for name in [*of, *([block.reference] if block.reference else [])]:
-            technique = shown[name].technique if name in shown else ""
-            if technique in CATALOGUE and CATALOGUE[technique].gaze_contingent:
-                wanted = (
-                    f"no gaze-contingent technique side by side ({technique} follows one gaze): two_interval or likert"
-                )
-                yield (*loc, "compare", "of"), f"{what}.compare.of", name, wanted
+
+
+def _one_gaze(study: Study, block: Block, loc: Loc, what: str) -> Iterator[Problem]:
+    """Panels side by side that follow the gaze: an eye is at one of them, and each was made for an eye at its own."""
+    if block.kind not in SIDE_BY_SIDE_KINDS:
+        return
+    compare, catch, varied = block.compare, block.catch, block.adaptive
+    named: list[tuple[Loc, str | None]] = [
+        (("compare", "of"), name) for name in study.expand(compare.of if compare else [])
+    ]
+    named.append((("reference",), block.reference))
+    named += [(("catch", key), getattr(catch, key)) for key in ("good", "bad") if catch is not None]
+    named += [(("adaptive", key), getattr(varied, key)) for key in ("test", "standard") if varied is not None]
+    for key in ("trials", "practice"):
+        trials = getattr(block, key)
+        for place, trial in enumerate(trials if isinstance(trials, list) else ()):
+            named += [((key, place, "compare"), name) for name in trial.compare or ()]
+    known = study.all_conditions()
+    for at, name in named:
+        technique = known[name].technique if name is not None and name in known else ""
+        if technique in CATALOGUE and CATALOGUE[technique].gaze_contingent:
+            said = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in at)
+            wanted = f"no gaze-contingent technique side by side ({technique} follows one gaze): two_interval or likert"
+            yield (*loc, *at), f"{what}{said}", str(name), wanted
 
 
 def _adaptive(study: Study, names: Declared, block: Block, loc: Loc, what: str) -> Iterator[Problem]:

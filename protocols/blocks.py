@@ -10,6 +10,7 @@ from protocols.conditions import Settings
 from protocols.quantity import Model, Name, Text, wrong
 
 PAIR_KINDS = ("side_by_side", "forced_choice", "two_interval")
+SIDE_BY_SIDE_KINDS = ("side_by_side", "forced_choice")
 WORD_KINDS = ("instructions", "consent", "break")
 Count = Annotated[int, Field(ge=1, le=1000)]
 

@@ -5,13 +5,11 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import combinations, product
+from itertools import combinations
 
 import numpy as np
 from pydantic import BaseModel
 
-from protocols.blocks import WORD_KINDS
-from protocols.cells import block_cells
 from protocols.names import Problem
 from protocols.requests import ClipSpec, clip_spec, possible_trials
 from protocols.study import Study
@@ -28,25 +26,18 @@ SAME_SAMPLES_OVERRIDE = "same_samples"
 def gaze_problems(study: Study) -> Iterator[Problem]:
     """A picture made for one gaze cannot be stored for an eye that is free to look anywhere. Only for a study whose
     names all lead somewhere."""
-    between = study.participants.between
-    groups = [dict(zip(between, pick, strict=True)) for pick in product(*between.values())]
-    known = study.all_conditions()
-    for index, block in enumerate(study.blocks):
-        told: set[str] = set()
-        if block.kind in WORD_KINDS or block.adaptive is not None:
-            continue
-        cells = (cell for group in groups for cell in block_cells(study, block, group))
-        for name, settings in ((name, cell.settings) for cell in cells for name in cell.members):
-            condition = known.get(name)
-            entry = CATALOGUE.get(condition.technique) if condition else None
-            if condition is None or entry is None or not entry.gaze_contingent or name in told:
+    places = {block.name: index for index, block in enumerate(study.blocks)}
+    told: set[tuple[str, str]] = set()
+    for trial in possible_trials(study):
+        for panel in trial.panels:
+            entry = CATALOGUE.get(panel.technique)
+            if entry is None or not entry.gaze_contingent or panel.live or trial.fixation != "free":
                 continue
-            live = settings.get("live") if condition.live is None else condition.live
-            if settings.get("fixation") == "free" and not live:
-                told.add(name)
-                got = f"{name} ({condition.technique}) with a free gaze from the store"
+            if (trial.block, panel.condition) not in told:
+                told.add((trial.block, panel.condition))
+                got = f"{panel.condition} ({panel.technique}) with a free gaze from the store"
                 wanted = "live: true, or fixation: fixed | moving (what the eye will do is not known beforehand)"
-                yield ("blocks", index), f"blocks[{index}]", got, wanted
+                yield ("blocks", places[trial.block]), f"blocks[{places[trial.block]}]", got, wanted
 
 
 @dataclass(frozen=True)

@@ -73,3 +73,80 @@ blocks:
     assert main([*run, "--data", str(tmp_path)]) == 2
     assert "samples that differ" in capsys.readouterr().err
     assert main(["check", str(file), "--override", "same_samples"]) == 2
+
+
+PAIRS = """\
+study: pairs
+scenes: {a: tunnel_geom}
+conditions:
+  small: {technique: foveated, params: {configuration: small}}
+  head: polar
+  plain: vanilla
+  taa: taa
+questions: {closer: {kind: choice, text: Which is closer?}}
+blocks:
+  - name: pairs
+    questions: [closer]
+"""
+STAIRCASE = "{kind: staircase, parameter: p_min, values: [0.01, 0.1], test: small, standard: plain}"
+
+
+def checked(tmp_path: Path, block: str, capsys: pytest.CaptureFixture[str]) -> tuple[int, list[str]]:
+    file = tmp_path / "pairs.yaml"
+    file.write_text(PAIRS + "".join(f"    {line}\n" for line in block.splitlines()))
+    code = main(["check", str(file), "--store", str(tmp_path / "clips")])
+    return code, capsys.readouterr().err.splitlines()
+
+
+@pytest.mark.parametrize(
+    ("block", "place"),
+    [
+        ("compare: {of: [plain, small]}", "compare.of: got small"),
+        ("compare: {of: [plain, taa]}\nreference: head", "reference: got head"),
+        ("trials: [{compare: [plain, small]}]", "trials[0].compare: got small"),
+        ("compare: {of: [plain, taa]}\npractice: [{compare: [plain, head]}]", "practice[0].compare: got head"),
+        ("compare: {of: [plain, taa]}\ncatch: {good: plain, bad: head}", "catch.bad: got head"),
+        (f"adaptive: {STAIRCASE}", "adaptive.test: got small"),
+        ("compare: {of: [small, plain]}\nadaptive: {kind: active_pairs}", "compare.of: got small"),
+    ],
+)
+def test_no_way_of_naming_it_puts_a_gaze_contingent_technique_side_by_side(
+    block: str, place: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, lines = checked(tmp_path, f"kind: forced_choice\nset: {{fixation: fixed}}\n{block}", capsys)
+    assert code == 2
+    assert len(lines) == 1
+    assert f"blocks[0].{place}, wanted no gaze-contingent technique side by side" in lines[0]
+    if "reference" not in block:  # one after the other each stands where the eye is
+        assert checked(tmp_path, f"kind: two_interval\nset: {{fixation: fixed}}\n{block}", capsys)[0] == 0
+
+
+@pytest.mark.parametrize(
+    "block",
+    [
+        f"set: {{fixation: free}}\nadaptive: {STAIRCASE}",
+        "set: {fixation: free}\ncompare: {of: [plain, taa]}\npractice: [{compare: [plain, head]}]",
+        "set: {fixation: free}\ncompare: {of: [plain, taa]}\ncatch: {good: plain, bad: head}",
+        "set: {fixation: fixed}\ncompare: {of: [plain, head]}\npractice: 1\npractice_set: {fixation: free}",
+    ],
+)
+def test_a_free_gaze_cannot_be_stored_wherever_the_trial_comes_from(
+    block: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, lines = checked(tmp_path, f"kind: two_interval\n{block}", capsys)
+    assert code == 2
+    assert all("with a free gaze from the store" in line for line in lines)
+    assert checked(tmp_path, f"kind: two_interval\n{block.replace('free', 'free, live: true')}", capsys)[0] == 0
+
+
+def test_a_headset_is_no_display_of_a_session(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "headset.yaml"
+    file.write_text(PAIRS.replace("scenes:", "display: {view: headset}\nscenes:") + "    kind: two_interval\n"
+                    "    set: {fixation: fixed}\n    compare: {of: [plain, small]}\n")  # fmt: skip
+    for command in (["check"], ["render"], ["simulate", "--participants", "1"]):
+        assert main([command[0], str(file), *command[1:]]) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert line.startswith(f"{file}:2:11: display.view: got 'headset', wanted monitor")
+        assert "--view headset" in line
+    file.write_text(file.read_text().replace("headset}", "monitor}"))
+    assert main(["check", str(file)]) == 0
