@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.optimize import brentq
 from scipy.special import ndtr
 
 from protocols.design import column, stream
@@ -259,6 +258,8 @@ def latent_mean(mean: float, sd: float, low: int, high: int) -> float:
     E[rating] = low + sum over k of P(latent > low + k - 1/2); solved by bisection. Means nearer than 0.02 points to an
     end of the scale are taken as 0.02 away, since no finite location reaches the end.
     """
+    from scipy.optimize import brentq  # takes 0.7 s to load, which the start of a session need not wait for
+
     mean = min(max(mean, low + 0.02), high - 0.02)
     if sd == 0.0:
         return mean

@@ -11,13 +11,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
-import numba
 import numpy as np
 
 from stimuli.errors import InputError, problem
 
 TONES = ("none",)
-_SMALLEST_NORMAL_HALF = np.float32(2.0**-14)
 
 
 def srgb_from_linear(linear: np.ndarray) -> np.ndarray:
@@ -105,37 +103,6 @@ def code_table(exposure: float = 1.0, tone: str = "none", table: DisplayTable | 
     return codes
 
 
-@numba.njit(cache=True, nogil=True)
-def _encode_float(linear, bits, codes, out):  # pragma: no cover  (compiled)
-    """(N, 3) float32 and their bits -> (N, 4) codes: round to half by integer arithmetic, look up."""
-    for i in range(linear.shape[0]):
-        for c in range(3):
-            value = linear[i, c]
-            u = bits[i, c]
-            if value >= _SMALLEST_NORMAL_HALF and value < np.float32(65504.0):
-                # normal halves: drop 13 bits of mantissa to nearest even, rebias the exponent
-                index = ((u + np.uint32(0xFFF) + ((u >> np.uint32(13)) & np.uint32(1))) >> np.uint32(13)) - np.uint32(
-                    112 << 10
-                )
-            elif value >= np.float32(65504.0):
-                index = np.uint32(0x7BFF)  # the largest half, as stored clips hold it
-            elif value > np.float32(0.0):
-                index = np.uint32(np.rint(value * np.float32(16777216.0)))  # subnormal halves: multiples of 2^-24
-            else:
-                index = np.uint32(0)  # zero, negative, nan
-            out[i, c] = codes[index]
-        out[i, 3] = np.uint8(255)
-
-
-@numba.njit(cache=True, nogil=True)
-def _encode_half(bits, codes, out):  # pragma: no cover  (compiled)
-    """(N, 3) half bit patterns -> (N, 4) codes."""
-    for i in range(bits.shape[0]):
-        for c in range(3):
-            out[i, c] = codes[bits[i, c]]
-        out[i, 3] = np.uint8(255)
-
-
 def encode(
     linear: np.ndarray,
     exposure: float = 1.0,
@@ -155,10 +122,12 @@ def encode(
     if out.shape != (*linear.shape[:2], 4) or out.dtype != np.uint8 or not out.flags.c_contiguous:
         got = f"{out.shape} {out.dtype}{'' if out.flags.c_contiguous else ', strided'}"
         raise InputError(problem("encoder", "output array", got, f"C-contiguous {(*linear.shape[:2], 4)} uint8"))
+    from stimuli import encode_compiled  # the compiler is loaded by who encodes, not by who plays what is encoded
+
     flat = out.reshape(-1, 4)
     if linear.dtype == np.float16:
-        _encode_half(np.ascontiguousarray(linear).view(np.uint16).reshape(-1, 3), codes, flat)
+        encode_compiled.encode_half(np.ascontiguousarray(linear).view(np.uint16).reshape(-1, 3), codes, flat)
     else:
         values = np.ascontiguousarray(linear, np.float32).reshape(-1, 3)
-        _encode_float(values, values.view(np.uint32), codes, flat)
+        encode_compiled.encode_float(values, values.view(np.uint32), codes, flat)
     return out

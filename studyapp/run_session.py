@@ -18,7 +18,7 @@ from studyapp.gaze.before_session import check_gaze
 from studyapp.inclusion import answers_about_self
 from studyapp.lab_file import Lab, find_lab
 from studyapp.manifest_source import Manifests
-from studyapp.present.frame_loop import ask_realtime, children_stay_normal, leave_realtime
+from studyapp.present.frame_loop import ask_realtime, children_stay_normal, leave_realtime, set_aside
 from studyapp.resume import session_paths, unfinished
 from studyapp.session import SessionStopped, Sources
 from studyapp.session_checks import different_samples, interrupted_session, require_space, require_writable
@@ -105,10 +105,13 @@ def run_session(request: RunRequest) -> RunDone:
         used += needed
         if isinstance(sources, StoredSources):
             sources.look_with(devices.gaze, geometry)
+        for override in used:
+            print(f"note: {override['check']} is overridden: {override['reason']}", file=sys.stderr)
         prepared = Prepared(
             study, text, trials, lab, before, about, display, certificate, tuple(used), measured, sources, new_clips,
             devices, calibration.record, budget, tuple(warnings),
         )  # fmt: skip
+        stack.enter_context(set_aside())
         try:
             return run_course(request, prepared)
         except (LogFailed, SessionStopped) as error:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from math import tan
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,13 +19,13 @@ from protocols.records import TARGET_DTYPE
 from protocols.requests import ClipSpec, clip_spec
 from protocols.study import Study
 from protocols.trial import Trial
-from stimuli.camera_path import PATH_NAMES
 from stimuli.clip_job import ClipJob
-from stimuli.load import load_scene
-from stimuli.scene import CameraPath, PoseTrack, Scene
-from studyapp.commands.check import find_scene
+from stimuli.clip_request import PATH_NAMES
 from studyapp.gaze.angles import ScreenGeometry
 from studyapp.present.layout import PanelRect, trial_rects
+
+if TYPE_CHECKING:  # scenes are loaded only where a target moves
+    from stimuli.scene import CameraPath, PoseTrack, Scene
 
 
 @dataclass(frozen=True)
@@ -94,8 +95,10 @@ class TargetPaths:
 
     def _scene(self, spec: ClipSpec) -> tuple[PoseTrack | None, CameraPath]:
         if spec not in self._known:
-            # Imported only for such studies: it brings the ray engine along.
+            # Imported only for such studies: they bring scenes and the ray engine along.
             from renderers.clip_renderer import scene_and_camera
+            from stimuli.load import load_scene
+            from studyapp.commands.check import find_scene
 
             source = str(find_scene(spec.source, self._beside) or spec.instead)
             content = load_scene(source, animation=spec.animation).sha256

@@ -75,6 +75,14 @@ def test_importing_a_package_loads_no_gpu_code(module: str) -> None:
     assert loaded & NOT_LOADED[module] == set()
 
 
+def test_a_session_starts_without_scenes_and_compilers() -> None:
+    """They take 2 s to load, and their objects 0.1 s of every collection between two phases of a trial."""
+    code = "import sys, studyapp.run_session; print(' '.join(sorted(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    loaded = set(done.stdout.split())
+    assert loaded.isdisjoint({"numba", "pyrender", "trimesh", "mitsuba", "drjit", "pandas", "scipy.optimize"})
+
+
 def test_session_time_is_read_only_in_the_clock() -> None:
     readers = {
         "time.monotonic",
