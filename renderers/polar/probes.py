@@ -10,7 +10,6 @@ of back faces count (a probe inside a wall then sees nothing), and such probes g
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,9 +17,18 @@ import numpy as np
 from renderers.backend import dr, mi
 from renderers.camera import Ray
 from renderers.frozen import frozen, opaque_float, opaque_uint
-from renderers.lights import repeat
 from renderers.parameters import Probes
-from renderers.polar.octahedral import border_sources, look_up, padded_index, texel_direction
+from renderers.polar.octahedral import border_sources
+from renderers.polar.probe_maps import (
+    DISTANCE,
+    IRRADIANCE,
+    ProbeArrays,
+    blend_distance,
+    blend_irradiance,
+    copy_borders,
+    irradiance_at,
+    probe_position,
+)
 from renderers.rng import combined
 from renderers.shading import ambient_occlusion
 from renderers.space import TracerSpace, corners, mover_bounds, part_points
@@ -32,25 +40,7 @@ from stimuli.scene import Scene
 if TYPE_CHECKING:
     from renderers.engine import Engine, EngineState
 
-IRRADIANCE, DISTANCE = 6, 14  # interior texels a side
-GAMMA = 5.0  # irradiance is stored as its fifth root, as the eye sees differences
-_SUDDEN, _BRIGHT = 0.25, 0.10  # changes of a stored value that speed it up, or that are taken as fireflies
 _LEAST_EXTENT = 0.1  # of the scene's radius: a flat scene still gets a grid
-
-
-@dataclass
-class ProbeArrays:
-    """A PyTree. ``irradiance`` (P, 8, 8, 4) and ``distance`` (P, 16, 16, 2) flat; ``valid`` (P,) 1.0 where the
-    probe has seen the scene from outside of its walls; ``low``, ``spacing``: first probe and grid step (3 floats each,
-    tracer space); ``reach``: longest distance that is stored; ``radius``: length of the short rays."""
-
-    irradiance: Any
-    distance: Any
-    valid: Any
-    low: Any
-    spacing: Any
-    reach: Any
-    radius: Any
 
 
 def scene_box(scene: Scene, space: TracerSpace) -> tuple[np.ndarray, np.ndarray]:
@@ -111,7 +101,7 @@ class ProbeGrid:
         self._borders = [tuple(opaque_uint(v) for v in border_sources(n)) for n in (IRRADIANCE, DISTANCE)]
         self._trace_kernel = frozen(self._trace)
         self._irradiance_kernel, self._distance_kernel = frozen(self._blend_irradiance), frozen(self._blend_distance)
-        self._border_kernel = frozen(self._copy_borders)
+        self._border_kernel = frozen(copy_borders)
         self.reset()
 
     @property
@@ -203,10 +193,6 @@ class ProbeGrid:
 
     # Kernels --------------------------------------------------------------------------------------------------------
 
-    def _position(self, arrays: ProbeArrays, x: Any, y: Any, z: Any) -> Any:
-        low, spacing = ([dr.gather(mi.Float, v, mi.UInt32(k)) for k in range(3)] for v in (arrays.low, arrays.spacing))
-        return mi.Point3f(*(dr.fma(mi.Float(i), s, o) for i, s, o in zip((x, y, z), spacing, low, strict=True)))
-
     def _trace(
         self, state: EngineState, two_sided: Any, slot: Any, start: Any, step: Any, rays: Any, seed: Any, found: Any
     ) -> tuple[Any, Any]:  # fmt: skip
@@ -218,7 +204,7 @@ class ProbeGrid:
         nx, ny, _ = self.settings.grid
         z = number // (nx * ny)
         y = (number - z * (nx * ny)) // nx
-        origin = self._position(state.indirect, number - z * (nx * ny) - y * nx, y, z)
+        origin = probe_position(state.indirect, number - z * (nx * ny) - y * nx, y, z)
         d = mi.Vector3f(d4.x, d4.y, d4.z)
         # A ray's cone covers its share of the sphere.
         ray = Ray(origin, d, mi.Float(0), mi.Float(math.sqrt(4 * math.pi / n)))
@@ -230,122 +216,17 @@ class ProbeGrid:
         dr.scatter(found, mi.Vector4f(color.x, color.y, color.z, dr.select(back, -distance, distance)), slot)
         return found, seen.shadow
 
-    def _blend_irradiance(
-        self, slot: Any, start: Any, step: Any, rays: Any, kept: Any, found: Any, irradiance: Any, valid: Any
-    ) -> tuple[Any, Any]:  # fmt: skip
-        """Cosine-weighted means of the rays' radiance, blended into the stored fifth roots."""
-        n, texels = self.settings.rays, IRRADIANCE**2
-        probe = slot // texels
-        texel = slot - probe * texels
-        normal = texel_direction(texel, IRRADIANCE)
+    def _blend_irradiance(self, *of: Any) -> tuple[Any, Any]:
+        return blend_irradiance(self.settings, *of)
 
-        def add(i: Any, total: Any, weights: Any, back: Any) -> tuple[Any, Any, Any]:
-            d = dr.gather(mi.Vector4f, rays, i)
-            value = dr.gather(mi.Vector4f, found, probe * n + i)
-            cosine = dr.maximum(normal.x * d.x + normal.y * d.y + normal.z * d.z, 0)
-            cosine = dr.select(value.w < 0, 0, cosine)
-            radiance = mi.Color3f(value.x, value.y, value.z)
-            return total + radiance * cosine, weights + cosine, back + dr.select(value.w < 0, 1.0, 0.0)
-
-        total, weights, back = repeat(n, (mi.Color3f(0), mi.Float(0), mi.Float(0)), add, "irradiance")
-        number = start + probe * step
-        place = number * (IRRADIANCE + 2) ** 2 + padded_index(texel, IRRADIANCE)
-        outside = (back <= self.settings.backface_share * n) & (weights > 0)
-        new = dr.power(total * dr.rcp(dr.maximum(2 * weights, 1e-9)), 1 / GAMMA)
-        stored = dr.gather(mi.Vector4f, irradiance, place)
-        old = mi.Color3f(stored.x, stored.y, stored.z)
-        change = new - old
-        kept = dr.select(dr.max(-change) > _SUDDEN, dr.maximum(kept - 0.75, 0), kept)
-        change = dr.select(mi.luminance(change) > _BRIGHT, change * 0.25, change)
-        value = dr.select(dr.max(old) == 0, new, old + change * (1 - kept))
-        dr.scatter(irradiance, mi.Vector4f(value.x, value.y, value.z, 0), place, outside)
-        dr.scatter(valid, dr.select(outside, mi.Float(1), mi.Float(0)), number, texel == 0)
-        return irradiance, valid
-
-    def _blend_distance(
-        self, slot: Any, start: Any, step: Any, rays: Any, kept: Any, found: Any, reach: Any, distance: Any
-    ) -> Any:  # fmt: skip
-        """Mean distance and squared distance, in sharp lobes."""
-        n, texels = self.settings.rays, DISTANCE**2
-        probe = slot // texels
-        texel = slot - probe * texels
-        normal = texel_direction(texel, DISTANCE)
-
-        def add(i: Any, total: Any, weights: Any) -> tuple[Any, Any]:
-            d = dr.gather(mi.Vector4f, rays, i)
-            r = dr.abs(dr.gather(mi.Float, found, (probe * n + i) * 4 + 3))
-            cosine = dr.maximum(normal.x * d.x + normal.y * d.y + normal.z * d.z, 0)
-            weight = dr.power(cosine, self.settings.sharpness)
-            return total + mi.Vector2f(r, r * r) * weight, weights + weight
-
-        total, weights = repeat(n, (mi.Vector2f(0), mi.Float(0)), add, "distance")
-        place = (start + probe * step) * (DISTANCE + 2) ** 2 + padded_index(texel, DISTANCE)
-        old = dr.gather(mi.Vector2f, distance, place)
-        new = total * dr.rcp(dr.maximum(2 * weights, 1e-20))
-        value = dr.select(old.x == 0, new, dr.lerp(new, old, kept))
-        dr.scatter(distance, value, place, weights > 1e-20)
-        return distance
-
-    def _copy_borders(
-        self, kind: int, size: int, slot: Any, start: Any, step: Any, border: Any, source: Any, maps: Any
-    ) -> Any:  # fmt: skip
-        texels = 4 * size + 4
-        probe = slot // texels
-        at = slot - probe * texels
-        base = (start + probe * step) * (size + 2) ** 2
-        vector = mi.Vector4f if kind == 4 else mi.Vector2f
-        value = dr.gather(vector, maps, base + dr.gather(mi.UInt32, source, at))
-        dr.scatter(maps, value, base + dr.gather(mi.UInt32, border, at))
-        return maps
-
-    def irradiance(self, arrays: ProbeArrays, point: Any, normal: Any, to_eye: Any, active: Any) -> Any:
-        """Irradiance / pi at a surface from the eight probes around it, those behind walls left out by distance."""
-        low, spacing = (
-            mi.Vector3f(*(dr.gather(mi.Float, v, mi.UInt32(k)) for k in range(3))) for v in (arrays.low, arrays.spacing)
-        )
-        bias = 0.75 * self.settings.bias * dr.min(spacing)
-        asked = mi.Point3f(mi.Vector3f(point) + (normal * 0.2 + to_eye * 0.8) * bias)
-        place = (mi.Vector3f(asked) - low) / spacing
-        cells, share = [], []
-        for axis, n in enumerate(self.settings.grid):
-            cell = mi.UInt32(dr.clip(place[axis], 0, max(n - 2, 0)))
-            cells.append(cell)
-            share.append(dr.clip(place[axis] - mi.Float(cell), 0, 1))
-        nx, ny, nz = self.settings.grid
-
-        def add(i: Any, total: Any, weights: Any) -> tuple[Any, Any]:
-            steps = (i & 1, (i >> 1) & 1, (i >> 2) & 1)
-            x, y, z = (dr.minimum(c + s, n - 1) for c, s, n in zip(cells, steps, (nx, ny, nz), strict=True))
-            number = (z * ny + y) * nx + x
-            probe = self._position(arrays, x, y, z)
-            trilinear = mi.Float(1)
-            for s, a in zip(steps, share, strict=True):
-                trilinear *= dr.maximum(0.001, dr.select(s == 1, a, 1 - a))
-            towards = mi.Vector3f(probe - point)
-            towards *= dr.rcp(dr.maximum(dr.norm(towards), 1e-9))
-            weight = dr.square(0.5 * (1 + dr.dot(towards, normal))) + 0.2
-            away = mi.Vector3f(asked - probe)
-            length = dr.maximum(dr.norm(away), 1e-9)
-            moments = look_up(mi.Vector2f, arrays.distance, number, away, DISTANCE, active) * 2
-            variance = dr.abs(dr.square(moments.x) - moments.y)
-            beyond = length - moments.x
-            chance = variance * dr.rcp(variance + dr.square(beyond) + 1e-12)
-            weight *= dr.select(beyond > 0, dr.maximum(0.05, chance * chance * chance), 1)
-            weight = dr.maximum(1e-6, weight)
-            weight = dr.select(weight < 0.2, weight * weight * weight * (1 / 0.04), weight) * trilinear
-            weight *= dr.gather(mi.Float, arrays.valid, number, active)
-            value = look_up(mi.Vector4f, arrays.irradiance, number, normal, IRRADIANCE, active)
-            root = dr.power(dr.maximum(mi.Color3f(value.x, value.y, value.z), 0), GAMMA / 2)
-            return total + root * weight, weights + weight
-
-        total, weights = repeat(8, (mi.Color3f(0), mi.Float(0)), add, "probes")
-        return dr.select(weights > 0, dr.square(total * dr.rcp(dr.maximum(weights, 1e-30))) * 2, 0)
+    def _blend_distance(self, *of: Any) -> Any:
+        return blend_distance(self.settings, *of)
 
     def light(
         self, state: EngineState, surface: Surface, to_eye: Any, time_s: Any, active: Any, rng: Any, short_rays: bool
     ) -> tuple[Any, Any]:  # fmt: skip
         """(what multiplies a diffuse colour, short rays: UInt32): bounced light, darkened in corners by short rays."""
-        found = self.irradiance(state.indirect, surface.point, mi.Vector3f(surface.normal), to_eye, active)
+        found = irradiance_at(self.settings, state.indirect, surface.point, mi.Vector3f(surface.normal), to_eye, active)
         none = dr.select(active, mi.UInt32(0), mi.UInt32(0))
         count = self.settings.occlusion_rays
         if not short_rays or count == 0:

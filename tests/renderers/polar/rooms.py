@@ -10,6 +10,7 @@ from renderers.backend import mi
 from renderers.clip_frames import view_at
 from renderers.engine import Engine, EngineState
 from renderers.parameters import Probes
+from renderers.polar import probe_maps
 from stimuli.scene import Light, Material, Part, Phong, Scene
 from tests.renderers.scenes import scene_of
 from tests.renderers.scenes_by_hand import box, look_at, pbr, quad
@@ -62,7 +63,8 @@ def irradiance_at(engine: Engine, state: EngineState, points: np.ndarray, normal
     """(N, 3) irradiance / pi that the probes give at world ``points`` with ``normals`` (eye along the normal)."""
     where = mi.Point3f(engine.space.points(np.asarray(points, float)).T.astype(np.float32))
     n = mi.Vector3f(np.asarray(normals, np.float32).T)
-    return np.array(engine.indirect.irradiance(state.indirect, where, n, n, mi.Bool(True)).numpy()).T
+    found = probe_maps.irradiance_at(engine.indirect.settings, state.indirect, where, n, n, mi.Bool(True))
+    return np.array(found.numpy()).T
 
 
 def parts_named(scene: Scene, name: str) -> Part:

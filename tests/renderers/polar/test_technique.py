@@ -1,10 +1,10 @@
-"""Polar as a technique: rays, penumbras, quality by pose, changes between frames, headset views, extremes."""
+"""Polar as a technique: rays, penumbras, quality by pose, changes between frames, extremes."""
 
 from __future__ import annotations
 
 import gc
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
@@ -18,57 +18,18 @@ from renderers.parameters import Polar as Parameters
 from renderers.parameters import Vanilla as VanillaParameters
 from renderers.polar.quality import light_samples, pose_delta
 from renderers.polar.technique import Polar
-from renderers.technique import Frame, View, ViewGeometry, Viewport
+from renderers.technique import View, ViewGeometry
 from renderers.vanilla import Vanilla
 from stimuli.errors import InputError
 from stimuli.procedural.shapes import matte, part, sphere
-from stimuli.scene import Light, Mover, Scene, StillCamera
+from stimuli.scene import Light, Mover, StillCamera
 from tests.renderers.polar.rooms import cornell
+from tests.renderers.polar.shown import RATE, WHITE, Path, polar, shift, show, turn, wall_of_noise
 from tests.renderers.scenes import noise_pixels, scene_of, unlit
 from tests.renderers.scenes import quad as textured_quad
 from tests.renderers.scenes_by_hand import box, diffuse, look_at, quad
 
 activate()
-RATE = Fraction(60)
-WHITE = (1.0, 1.0, 1.0)
-
-
-@dataclass(frozen=True)
-class Path:
-    """A camera or track whose pose is any function of time."""
-
-    at: Callable[[float], np.ndarray]
-    yfov_rad: float = np.pi / 3
-    name: str = "path"
-
-    def pose(self, time_s: np.ndarray) -> np.ndarray:
-        return np.stack([self.at(float(t)) for t in np.atleast_1d(time_s)])
-
-
-def shift(x: float, y: float = 0.0, z: float = 0.0) -> np.ndarray:
-    matrix = np.eye(4)
-    matrix[:3, 3] = x, y, z
-    return matrix
-
-
-def turn(degrees: float) -> np.ndarray:
-    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
-    return np.array([[c, 0, s, 0], [0, 1, 0, 0], [-s, 0, c, 0], [0, 0, 0, 1.0]])
-
-
-def polar(scene: Scene, size_px: tuple[int, int], **params: object) -> Polar:
-    return Polar(Engine(scene), size_px, Parameters(**params), 0, "total")
-
-
-def show(technique: Polar | Vanilla, k: int = 0, gaze: tuple[float, float] | None = None, **more: object) -> Frame:
-    scene = technique.engine.scene
-    view = view_at(k, RATE, Fraction(0), technique.size_px, scene.camera, gaze)
-    return technique.render(replace(view, **more))
-
-
-def wall_of_noise(block: int = 4) -> Scene:
-    """A wall that fills the field, of random colours."""
-    return scene_of(textured_quad((-4, -3, -3), (8, 0, 0), (0, 6, 0), unlit(64 + noise_pixels(3, 256, block) // 2)))
 
 
 # Rays ---------------------------------------------------------------------------------------------------------------
@@ -264,90 +225,6 @@ def test_a_live_gaze_and_a_changing_width_record_no_kernel_anew() -> None:
         assert np.isfinite(show(technique, k, tuple(gaze)).color).all()
     kernels = (technique._trace_kernel, technique._mark_kernel, technique._resolve_kernel)
     assert max(kernel.recordings for kernel in kernels) <= 6
-
-
-# Headset --------------------------------------------------------------------------------------------------------------
-
-QUARTER = 1 / 4  # of the headset's 60 and 22 pixels per degree
-
-
-def headset(scale: float = QUARTER) -> tuple[Viewport, ...]:
-    """HERR's four viewports at ``scale``: 40 degrees at 60 ppd about the axis, 90 degrees at 22 ppd, for each eye."""
-
-    def pixels(field_deg: float, ppd: float) -> int:
-        return round(2 * np.tan(np.radians(field_deg / 2)) * ppd * scale * 180 / np.pi)
-
-    return tuple(
-        Viewport(f"{side} {name}", (pixels(field, ppd),) * 2, np.radians(field), offset)
-        for side, offset in (("left", -0.032), ("right", 0.032))
-        for name, field, ppd in (("inset", 40, 60), ("surround", 90, 22))
-    )
-
-
-def test_four_viewports_take_nine_times_fewer_rays_than_they_have_pixels() -> None:
-    viewports = headset()
-    size = viewports[0].size_px
-    frame = show(polar(wall_of_noise(), size, quality=1), viewports=viewports)
-    pixels = sum(v.size_px[0] * v.size_px[1] for v in viewports)
-    assert list(frame.viewports) == ["left inset", "left surround", "right inset", "right surround"]
-    for v in viewports:
-        assert frame.viewports[v.name].shape == (*v.size_px[::-1], 3)
-    np.testing.assert_array_equal(frame.color, frame.viewports["left inset"])
-    assert pixels / frame.rays["primary"] > 5
-    assert frame.viewports["left inset"].min() > 0
-
-
-def test_each_eye_sees_from_its_own_place() -> None:
-    near = scene_of(quad((-0.05, -5, -1), (0.1, 0, 0), (0, 10, 0), unlit()), background=(0.2, 0.2, 0.2))
-    frame = show(polar(near, (64, 64), width=256, height=256), viewports=headset(1 / 20))
-    middle = {}
-    for name in ("left surround", "right surround"):
-        row = frame.viewports[name][frame.viewports[name].shape[0] // 2, :, 0] - 0.2
-        middle[name] = (row * (np.arange(len(row)) + 0.5 - len(row) / 2)).sum() / row.sum() * 2 / len(row)
-    # 90 degrees: half the width is 1 at distance 1; the left eye sees the bar to the right.
-    assert middle["left surround"] == pytest.approx(0.032, abs=0.01)
-    assert middle["right surround"] == pytest.approx(-0.032, abs=0.01)
-
-
-def test_viewports_on_a_screen_or_of_equal_names_are_refused() -> None:
-    technique = polar(wall_of_noise(), (16, 16))
-    v = headset(1 / 20)
-    with pytest.raises(InputError, match="headset"):
-        show(technique, viewports=v, geometry=ViewGeometry(0.6, 0.3, 0.5))
-    with pytest.raises(InputError, match="names"):
-        show(technique, viewports=(v[0], v[0]))
-    with pytest.raises(InputError, match="left inset"):
-        show(technique, viewports=(replace(v[0], yfov_rad=np.pi),))
-
-
-# Mixed reality --------------------------------------------------------------------------------------------------------
-
-
-def test_virtual_objects_and_their_shadows_over_the_capture() -> None:
-    real = replace(matte("floor", (0.25, 0.5, 0.75)), captured=True)
-    floor = quad((-5, -1, 5), (10, 0, 0), (0, 0, -10), real)
-    cube = box((0, -0.3, -4), (0.4, 0.2, 0.4), diffuse((1, 0, 0)))
-    light = Light("point", (20.0,) * 3, position=(0, 3, -4))
-    scene = scene_of(floor, cube, lights=(light,))
-    size = (96, 72)
-    frame = show(polar(scene, size, mixed_reality=True, width=512, height=512))
-    assert frame.alpha.shape == (72, 96)
-    capture = np.array((0.25, 0.5, 0.75))
-
-    def at(x: float, y: float, z: float) -> tuple[int, int]:
-        pixel = 2 * np.tan(np.pi / 6) / 72
-        return int(36 - y / -z / pixel), int(48 + x / -z / pixel)
-
-    free, shadow, object_ = at(2, -1, -4), at(0.0, -1, -3.53), at(0, -0.3, -3.6)
-    assert frame.alpha[free] == pytest.approx(0, abs=1e-3)
-    np.testing.assert_allclose(frame.color[free], capture, atol=1e-3)
-    assert frame.alpha[shadow] == pytest.approx(1, abs=1e-3)  # the only light is gone
-    np.testing.assert_allclose(frame.color[shadow], 0, atol=1e-3)
-    assert frame.alpha[object_] == pytest.approx(1, abs=1e-6)
-    assert frame.color[object_][1] < 0.01  # the cube's own colour, not the room's
-    assert frame.alpha[0].max() == 0  # above the horizon: neither room nor object
-    with pytest.raises(InputError, match="captured"):
-        polar(wall_of_noise(), size, mixed_reality=True)
 
 
 # Extremes -------------------------------------------------------------------------------------------------------------
