@@ -1,7 +1,8 @@
 """Soak of the presenter: three streamed 256x256 panels for a minute, forty stalls of 5 to 30 ms at seeded times.
 
 Beside it stands what the machine itself takes: the refreshes that a loop loses at the same rate and priority which does
-nothing but wait, and the time that a virtual machine's host kept the processors for itself ('steal').
+nothing but wait (in a window: nothing but swap), and the time that a virtual machine's host kept the processors for
+itself ('steal').
 
 On the headless compositor (announced 260; not locked, so the override `display_lock` is used and stands in the
 result) and on the off-screen display at exactly 240 Hz. Each stall must be found at its refresh with its count, and
@@ -147,6 +148,17 @@ def bare_loop(seconds: float, rate_hz: int = 240) -> dict[str, float]:
     return {"bare_seconds": seconds, "bare_lost_share": lost / index, "bare_worst_ms": worst_ns * 1e-6}
 
 
+def bare_swaps(display: Display, seconds: float) -> dict[str, float]:
+    """What is lost to machine and compositor: refreshes that go by while a window does nothing but swap."""
+    lost, count, first = 0, 0, display.flip().index
+    gc.disable()
+    while count < seconds * display.nominal_hz:
+        flip = display.flip()
+        lost, count = lost + flip.missed, flip.index - first
+    gc.enable()
+    return {"bare_seconds": seconds, "bare_lost_share": lost / count}
+
+
 def steal_s() -> float:
     """Seconds, of all processors together, that the host kept; 0 where the system does not tell."""
     try:
@@ -185,7 +197,8 @@ def main(arguments: list[str] | None = None) -> int:
     priority = ask_realtime()
     if args.only == "child":
         display = open_display("glfw", (800, 300), 260)
-        print(json.dumps({**soak(display, args.seconds, args.stalls, args.seed), "priority": priority}))
+        found = {**soak(display, args.seconds, args.stalls, args.seed), "priority": priority}
+        print(json.dumps({**found, **bare_swaps(display, args.seconds)}))
         display.close()
         return 0
     results: dict[str, Any] = {}
