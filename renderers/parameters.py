@@ -159,10 +159,11 @@ class AdaptiveFrameless(Parameters):
     ``m`` is the threshold of undersampling (above 1 a buffer that is half empty never asks); each of the three counts
     times the tile's area to the ``area_power`` (0: splitting a textured tile never calms it, and it draws every tile
     to itself: on the kitchen's Interactive path 1.03 of full resolution instead of 0.77); ``i`` the gain;
-    ``reprojected`` crosshairs a visit; a chunk has ``chunk_crosshairs`` and then ``tiling_moves`` splits or merges; at
-    least ``least_tiles``, and tiles of ``least_mean_tile_px`` on average and ``least_tile_px`` each; ``decay_per_s``
-    ages samples. ``temporal_gradient``: 'fixed' compares samples at one place of the picture (the paper's), 'followed'
-    at one point of the scene.
+    ``reprojected`` crosshairs a visit; a chunk has ``chunk_crosshairs`` and then ``tiling_moves`` splits or merges; a
+    refresh's chunks are traced in ``launches`` (one by one where there are no more than that); at least
+    ``least_tiles``, and tiles of ``least_mean_tile_px`` on average and ``least_tile_px`` each; ``decay_per_s`` ages
+    samples. ``temporal_gradient``: 'fixed' compares samples at one place of the picture (the paper's), 'followed' at
+    one point of the scene.
     Reconstructor: ``samples_kept_per_px`` newest samples; ``reproject`` them, along with movers (``reproject_movers``);
     ``filter_volume`` in volumes of a sample; gradients below ``least_spatial_gradient`` (display luma a pixel) and
     ``least_temporal_gradient`` (a second) count as these; ``filter_tail`` weighs samples out of reach;
@@ -180,6 +181,7 @@ class AdaptiveFrameless(Parameters):
     i: float = Field(0.3, gt=0)
     reprojected: int = Field(5, ge=0, le=6)
     chunk_crosshairs: int = Field(25, ge=1, le=100_000)
+    launches: int = Field(2, ge=1, le=100_000)
     tiling_moves: int = Field(4, ge=1, le=64)
     least_tiles: int = Field(64, ge=1)
     least_mean_tile_px: int = Field(16, ge=1)

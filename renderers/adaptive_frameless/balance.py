@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
 from renderers.adaptive_frameless import buffers as c
 from renderers.adaptive_frameless.buffers import Buffers, Settings
-from renderers.adaptive_frameless.tiling import can_split, merge, move_epoch, split, sum_errors
+from renderers.adaptive_frameless.compiled import compiled, inlined
+from renderers.adaptive_frameless.tiling import can_split, find_errors, merge, move_epoch, split, sum_errors
 
 ERRORS_EVERY = 16
 """Chunks between two sums of all tiles' errors, which normalise them; more where there are many tiles to sum."""
 
 
-@njit(cache=True)
+@compiled
 def wanted_tiles(b: Buffers, s: Settings, now_s: float) -> int:
     """The number of tiles at which dC/ds * S = i * dC/dt * T (section 4.1): S the tiles' width, T the mean age."""
     total = b.total
@@ -30,7 +29,7 @@ def wanted_tiles(b: Buffers, s: Settings, now_s: float) -> int:
     return int(min(max(tiles, s.least_tiles), s.most_tiles))
 
 
-@njit(cache=True)
+@compiled
 def worst_tile(b: Buffers, s: Settings) -> int:
     """The tile of largest error that can be split, -1 where none can."""
     best, found, tiles = -1.0, -1, b.number[c.LEAVES]
@@ -47,14 +46,14 @@ def worst_tile(b: Buffers, s: Settings) -> int:
     return found
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def summed_error(b: Buffers, node: int) -> float:
     """Of the two tiles under ``node``."""
     n = b.node_i[node]
     return b.error[b.node_i[n[c.LEFT], c.PLACE]] + b.error[b.node_i[n[c.RIGHT], c.PLACE]]
 
 
-@njit(cache=True)
+@compiled
 def calmest_pair(b: Buffers) -> int:
     """The parent of the two tiles with the least summed error, -1 where no two tiles have one parent."""
     best, found, pairs = math.inf, -1, b.number[c.PAIRS]
@@ -74,10 +73,11 @@ def calmest_pair(b: Buffers) -> int:
     return found
 
 
-@njit(cache=True)
+@compiled
 def adjust(b: Buffers, s: Settings, now_s: float) -> None:
     """After a chunk: move towards the wanted number of tiles, and split the worst and merge the calmest pair."""
     move_epoch(b, s, now_s)
+    find_errors(b, s)
     if b.number[c.CHUNKS] % max(ERRORS_EVERY, b.number[c.LEAVES] // 32) == 0:
         sum_errors(b, s)
     b.number[c.CHUNKS] += 1

@@ -23,7 +23,7 @@ NODE_F = 10
 HAS, PX, PY, PLUMA, PTIME, PPOINT, PMOVER = 0, 1, 2, 3, 4, 5, 8
 NODE_P = 9
 # number, int64.
-LEAVES, FREE, FREE_NODES, ENTRIES, PAIRS, WAIT_FIRST, WAITING, NEXT, KEPT, TARGET, CHUNKS, PUT = range(12)
+LEAVES, FREE, FREE_NODES, ENTRIES, PAIRS, WAIT_FIRST, WAITING, NEXT, KEPT, TARGET, CHUNKS, PUT, TOUCHED = range(13)
 # total, float64: W .. GGT of the whole picture stand at their own columns.
 EPOCH, TIMES, SUM_V, SUM_U, SUM_O = range(10, 15)
 BLOCK = 32
@@ -41,9 +41,10 @@ class Buffers(NamedTuple):
     newest first, ``fill`` and ``leaf_of`` (W * H,); ``node_i`` (M, 8), ``node_f`` (M, NODE_F), ``node_p`` (M, NODE_P),
     ``free_nodes`` (M,); ``leaves``, ``error``, ``pairs`` (M,): tiles, their errors, parents of two leaves;
     ``pair_place`` (M,); ``leaf_best``, ``pair_best`` (M / BLOCK + 1,): the places of the worst tile and the calmest
-    pair of each block (-1: none), true where ``leaf_stale``, ``pair_stale`` are not set; ``wait`` a ring; ``stream_f``
+    pair of each block (-1: none), true where ``leaf_stale``, ``pair_stale`` are not set; ``touched`` (M,): tiles whose
+    sums have changed since their error was found, ``is_touched`` (M,) marks them; ``wait`` a ring; ``stream_f``
     (N, STREAM_F), ``stream_i`` (N,) movers, ``stream_t`` (N,) a ring in order of time; ``number`` and ``total`` as the
-    columns above say.
+    columns above say; ``pose`` (2, 3, 4) and ``arm`` (2, 5) are room to work in (compiled code allocates nothing).
     """
 
     entry_f: np.ndarray
@@ -65,12 +66,16 @@ class Buffers(NamedTuple):
     leaf_stale: np.ndarray
     pair_best: np.ndarray
     pair_stale: np.ndarray
+    touched: np.ndarray
+    is_touched: np.ndarray
     wait: np.ndarray
     stream_f: np.ndarray
     stream_i: np.ndarray
     stream_t: np.ndarray
     number: np.ndarray
     total: np.ndarray
+    pose: np.ndarray
+    arm: np.ndarray
 
 
 class Settings(NamedTuple):
@@ -84,6 +89,7 @@ class Settings(NamedTuple):
     least_tiles: int
     most_tiles: int
     moves: int
+    chunk: int
     kappa: float
     lam: float
     m: float
@@ -119,12 +125,16 @@ def make_buffers(s: Settings, kept: int) -> Buffers:
         leaf_stale=np.ones(blocks, np.bool_),
         pair_best=np.full(blocks, -1, np.int32),
         pair_stale=np.ones(blocks, np.bool_),
+        touched=np.zeros(nodes, np.int32),
+        is_touched=np.zeros(nodes, np.bool_),
         wait=np.zeros((max(64, pixels // 16), WAIT)),
         stream_f=np.empty((kept, STREAM_F), np.float32),
         stream_i=np.zeros(kept, np.int32),
         stream_t=np.zeros(kept),
         number=np.zeros(16, np.int64),
         total=np.zeros(16),
+        pose=np.zeros((2, 3, 4)),
+        arm=np.zeros((2, 5)),
     )
     b.node_i[0] = (0, 0, s.width, s.height, -1, -1, -1, 0)
     b.number[LEAVES], b.number[FREE], b.number[FREE_NODES] = 1, entries, nodes - 1

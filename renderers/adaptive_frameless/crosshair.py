@@ -8,10 +8,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from renderers.adaptive_frameless import buffers as c
 from renderers.adaptive_frameless.buffers import Buffers
+from renderers.adaptive_frameless.compiled import inlined
 
 ARMS = ((-1.0, 0.0), (1.0, 0.0), (0.0, -1.0), (0.0, 1.0))
 """Offsets in pixels of the left, right, upper and lower sample."""
@@ -20,13 +20,13 @@ LEAST_AGE_S = 1e-3
 _LEAST_ARM_PX = 0.25
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def display_luma(red: float, green: float, blue: float, exposure: float) -> float:
     """0.299 R + 0.587 G + 0.114 B of the sRGB values that the exposed linear colour is shown with (0 to 1)."""
     return 0.299 * _shown(red * exposure) + 0.587 * _shown(green * exposure) + 0.114 * _shown(blue * exposure)
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def _shown(value: float) -> float:
     if value >= 1.0:
         return 1.0
@@ -35,7 +35,7 @@ def _shown(value: float) -> float:
     return float(1.055 * value ** (1 / 2.4) - 0.055)
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def blended(knots: np.ndarray, span_s: float, time_s: float, out: np.ndarray) -> None:
     """Write the (3, 4) pose at ``time_s`` (after t1, so not positive) between the knots (K, 3, 4) to ``out``."""
     last = len(knots) - 1
@@ -47,7 +47,7 @@ def blended(knots: np.ndarray, span_s: float, time_s: float, out: np.ndarray) ->
             out[i, j] = knots[low, i, j] * (1.0 - share) + knots[low + 1, i, j] * share
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def moved(pose: np.ndarray, x: float, y: float, z: float) -> tuple[float, float, float]:
     """A point of own space through a (3, 4) pose."""
     return (
@@ -57,7 +57,7 @@ def moved(pose: np.ndarray, x: float, y: float, z: float) -> tuple[float, float,
     )
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def projected(camera: np.ndarray, lens: np.ndarray, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Tracer point -> (x, y) in pixels and its depth (not positive: behind the eye, then x and y mean nothing)."""
     ax, ay, az = x - camera[0, 3], y - camera[1, 3], z - camera[2, 3]
@@ -70,7 +70,7 @@ def projected(camera: np.ndarray, lens: np.ndarray, x: float, y: float, z: float
     return lens[1] + right * scale, lens[2] - up * scale, depth
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def spatial_gradients(b: Buffers, entry: int) -> None:
     """G_x, G_y of a crosshair with arms of one pixel: mean absolute differences of luma to both sides, per pixel."""
     e = b.entry_f[entry]
@@ -78,7 +78,7 @@ def spatial_gradients(b: Buffers, entry: int) -> None:
     e[c.GY] = 0.5 * (abs(e[c.LUMA] - e[c.LUMA + 3]) + abs(e[c.LUMA] - e[c.LUMA + 4]))
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def moved_gradients(b: Buffers, entry: int, x: np.ndarray, y: np.ndarray) -> None:
     """G_x, G_y of a crosshair whose five samples now lie at ``x``, ``y`` (5,): differences over their new distances.
 
@@ -102,7 +102,7 @@ def moved_gradients(b: Buffers, entry: int, x: np.ndarray, y: np.ndarray) -> Non
         e[c.GY] = sum_y / arms_y
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def temporal_gradient(luma: float, time_s: float, earlier_luma: float, earlier_s: float) -> float:
     """G_t: the absolute difference over the time between two samples of one place; -1 where they are simultaneous."""
     passed = abs(time_s - earlier_s)

@@ -5,14 +5,13 @@ Dayal et al. 2005, sections 4 and 6.1. Every change keeps the tiles' sums true.
 
 from __future__ import annotations
 
-from numba import njit
-
 from renderers.adaptive_frameless import buffers as c
 from renderers.adaptive_frameless.buffers import Buffers, Settings
+from renderers.adaptive_frameless.compiled import compiled, inlined
 from renderers.adaptive_frameless.tiling import add_entry
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def new_entry(b: Buffers) -> int:
     """The number of an unused entry. There is one whenever the caller made room in the queue it goes to."""
     b.number[c.FREE] -= 1
@@ -23,7 +22,7 @@ def new_entry(b: Buffers) -> int:
     return entry
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def _forget(b: Buffers, entry: int) -> None:
     b.entry_i[entry, c.PIXEL] = -1
     b.entry_i[entry, c.ASKED] = 0
@@ -31,7 +30,7 @@ def _forget(b: Buffers, entry: int) -> None:
     b.number[c.FREE] += 1
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def take_out(b: Buffers, s: Settings, entry: int) -> None:
     """Remove ``entry`` from its queue and from its tile's sums; it stays usable."""
     pixel = b.entry_i[entry, c.PIXEL]
@@ -45,21 +44,21 @@ def take_out(b: Buffers, s: Settings, entry: int) -> None:
     add_entry(b, s, entry, -1.0)
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def remove(b: Buffers, s: Settings, entry: int) -> None:
     """Take ``entry`` out and forget it."""
     take_out(b, s, entry)
     _forget(b, entry)
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def make_room(b: Buffers, s: Settings, pixel: int) -> None:
     """Drop the entry at the back of a full queue."""
     if b.fill[pixel] == s.depth:
         remove(b, s, b.queue[pixel, s.depth - 1])
 
 
-@njit(cache=True)
+@compiled
 def push_front(b: Buffers, s: Settings, entry: int, pixel: int) -> None:
     """Put a new crosshair before the others of ``pixel``; a full queue loses its last. Call `make_room` first where
     ``entry`` itself is yet to be made."""
@@ -73,7 +72,7 @@ def push_front(b: Buffers, s: Settings, entry: int, pixel: int) -> None:
     add_entry(b, s, entry, 1.0)
 
 
-@njit(cache=True)
+@compiled
 def push_back(b: Buffers, s: Settings, entry: int, pixel: int) -> None:
     """Put a moved crosshair behind the others of ``pixel``. Of a full queue's last and it, the older one is dropped."""
     count = b.fill[pixel]
@@ -90,7 +89,7 @@ def push_back(b: Buffers, s: Settings, entry: int, pixel: int) -> None:
     add_entry(b, s, entry, 1.0)
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def put_in_stream(
     b: Buffers, time_s: float, red: float, green: float, blue: float, px: float, py: float, pz: float, mover: int,
     x: float, y: float,

@@ -8,12 +8,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from renderers.adaptive_frameless import buffers as c
 from renderers.adaptive_frameless import rays
 from renderers.adaptive_frameless.balance import adjust
 from renderers.adaptive_frameless.buffers import Buffers, Settings, make_buffers
+from renderers.adaptive_frameless.compiled import compiled
 from renderers.adaptive_frameless.crosshair import ARMS, display_luma, spatial_gradients
 from renderers.adaptive_frameless.deep_buffer import new_entry, push_front, put_in_stream
 from renderers.adaptive_frameless.tiling import even_tiling, sum_errors
@@ -32,7 +32,7 @@ class Chunk(NamedTuple):
     job_i: np.ndarray
 
 
-@njit(cache=True)
+@compiled
 def _first_fill(b: Buffers, s: Settings, time_s: float, found: np.ndarray) -> None:
     """One crosshair a pixel from a grid of samples (W * H, scanline order); at an edge an arm is the pixel itself."""
     for y in range(s.height):
@@ -59,17 +59,20 @@ def _first_fill(b: Buffers, s: Settings, time_s: float, found: np.ndarray) -> No
     sum_errors(b, s)
 
 
-@njit(cache=True)
+@compiled
 def _turn(
     b: Buffers, s: Settings, p: Poses, done: Chunk, found: np.ndarray, totals: np.ndarray, following: Chunk,
     chance: np.ndarray,
 ) -> int:  # fmt: skip
-    """All that lies between two launches, in one call: entering compiled code costs as much as a chunk's work."""
-    asked = take_in(b, s, p, done.times_s, done.rows, found, done.job_f, done.job_i)
+    """All that lies between two launches, in one call. The tiling is adjusted after each chunk of the launch."""
+    asked, visits = 0, len(done.times_s)
+    for begin in range(0, visits, s.chunk):
+        end = min(begin + s.chunk, visits)
+        asked += take_in(b, s, p, begin, end, done.times_s, done.rows, found, done.job_f, done.job_i)
+        adjust(b, s, p.t1_s + done.times_s[end - 1])
     for lane in range(len(found)):
         for column in range(len(totals)):
             totals[column] += found[lane, column]
-    adjust(b, s, p.t1_s + done.times_s[-1])
     plan(b, s, p, following.times_s, chance, following.rows, following.job_f, following.job_i)
     return asked
 
@@ -113,7 +116,8 @@ class Sampler:
 
     def take_in(self, poses: Poses, done: Chunk, found: np.ndarray) -> int:
         """What was found goes into deep buffer, tiles and stream; returns the visibility rays traced."""
-        return int(take_in(self.buffers, self.settings, poses, *done[:2], found, *done[2:]))
+        visits = len(done.times_s)
+        return int(take_in(self.buffers, self.settings, poses, 0, visits, *done[:2], found, *done[2:]))
 
     def adjust(self, now_s: float) -> None:
         """Adjust the tiling after a chunk."""

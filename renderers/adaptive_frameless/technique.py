@@ -2,11 +2,20 @@
 
 Crosshairs of samples, each at its own time, go where a closed loop finds colour changing over space and time; each
 refresh is reconstructed from the newest samples, moved along with camera and movers. Choices where the paper is silent
-are parameters. Chunks of 25 crosshairs stand in for single ones: a chunk's tiles are drawn at its start.
+are parameters. Samples are traced in launches of many chunks of 25 crosshairs (renderers traced in parallel, as the
+paper has it in its section 8): a launch's tiles are drawn at its start, every sample has its own time, and results are
+taken in crosshair by crosshair with the tiling adjusted after each chunk. With the default of two launches a refresh
+the controller knows all but the last 8 ms.
+
+Control, in the paper's sense (section 7: 'the control machinery'): drawing tiles and places, choosing crosshairs to
+reproject, taking in what was found (deep buffer, queues, gradients, sums and errors of tiles), and splitting and
+merging. The stage 'control' is all of that; rays, occlusion rays among them, are 'trace'; 'reconstruct' is the other
+half of the computation that the paper's share refers to.
 """
 
 from __future__ import annotations
 
+import math
 from typing import ClassVar
 
 import numpy as np
@@ -39,9 +48,9 @@ def sampler_settings(size_px: tuple[int, int], p: AdaptiveFramelessParameters, e
     most = max(1, min(pixels, max(p.least_tiles, pixels // p.least_mean_tile_px)))
     return Settings(
         width=size_px[0], height=size_px[1], depth=p.depth, reprojected=p.reprojected, least_tile_px=p.least_tile_px,
-        least_tiles=min(p.least_tiles, most), most_tiles=most, moves=p.tiling_moves, kappa=p.kappa, lam=p.lambda_,
-        m=p.m, gain=p.i, area_power=p.area_power, decay_per_s=p.decay_per_s, exposure=exposure,
-        followed=p.temporal_gradient == "followed",
+        least_tiles=min(p.least_tiles, most), most_tiles=most, moves=p.tiling_moves, chunk=p.chunk_crosshairs,
+        kappa=p.kappa, lam=p.lambda_, m=p.m, gain=p.i, area_power=p.area_power, decay_per_s=p.decay_per_s,
+        exposure=exposure, followed=p.temporal_gradient == "followed",
     )  # fmt: skip
 
 
@@ -91,8 +100,10 @@ class AdaptiveFrameless:
     def _sample(self, view: View, state: EngineState, poses: Poses) -> tuple[np.ndarray, int, int]:
         """This interval's chunks, one after another; the sums of result columns, primary and visibility rays."""
         assert self.sampler is not None
-        totals, visibility, size = np.zeros(OUT), 0, self.params.chunk_crosshairs
+        totals, visibility = np.zeros(OUT), 0
         times_s = self._clock.take(view.t1 - view.t0)
+        chunk_size = self.params.chunk_crosshairs
+        size = max(1, math.ceil(len(times_s) / chunk_size / self.params.launches)) * chunk_size
         seeds = self._rng.integers(1 << 32, size=-(-len(times_s) // size)).tolist()
         with self._watch.stage("control"):
             chunk = self.sampler.plan(poses, times_s[:size])

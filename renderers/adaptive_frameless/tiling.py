@@ -10,16 +10,16 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from renderers.adaptive_frameless import buffers as c
 from renderers.adaptive_frameless.buffers import Buffers, Settings
+from renderers.adaptive_frameless.compiled import compiled, inlined
 
 EPOCH_S = 2.0
 """How often the common epoch of the weights moves: weights then span a factor of a thousand at most."""
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def add_entry(b: Buffers, s: Settings, entry: int, sign: float) -> None:
     """Count (sign 1) or uncount (-1) ``entry`` in the tile of its pixel and in the whole picture's sums."""
     node = b.leaf_of[b.entry_i[entry, c.PIXEL]]
@@ -28,10 +28,13 @@ def add_entry(b: Buffers, s: Settings, entry: int, sign: float) -> None:
     b.total[c.TIMES] += sign * b.entry_t[entry]
     if sign < 0 and b.node_f[node, c.W] < 1e-6 * math.exp(s.decay_per_s * (b.entry_t[entry] - b.total[c.EPOCH])):
         sum_tile(b, s, node)  # what is left weighs so little that the subtraction's rounding would show
-    _find_error(b, s, node)
+    if not b.is_touched[node]:
+        b.is_touched[node] = True
+        b.touched[b.number[c.TOUCHED]] = node
+        b.number[c.TOUCHED] += 1
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def _add_to(b: Buffers, s: Settings, node: int, entry: int, sign: float, everywhere: bool) -> None:
     weight = sign * math.exp(s.decay_per_s * (b.entry_t[entry] - b.total[c.EPOCH]))
     f, e = b.node_f[node], b.entry_f[entry]
@@ -60,7 +63,7 @@ def _add_to(b: Buffers, s: Settings, node: int, entry: int, sign: float, everywh
             b.total[c.GGT] += weight * e[c.GT]
 
 
-@njit(cache=True)
+@compiled
 def sum_tile(b: Buffers, s: Settings, node: int) -> None:
     """Sum a tile's block of the deep buffer anew."""
     b.node_f[node] = 0.0
@@ -72,23 +75,24 @@ def sum_tile(b: Buffers, s: Settings, node: int) -> None:
                 _add_to(b, s, node, b.queue[pixel, k], 1.0, False)
 
 
-@njit(cache=True)
+@compiled
 def move_epoch(b: Buffers, s: Settings, now_s: float) -> None:
     """Bring the weights' epoch to ``now_s`` if it is far behind; the picture's sums are added up anew."""
     passed = now_s - b.total[c.EPOCH]
     if passed < EPOCH_S:
         return
     factor = math.exp(-s.decay_per_s * passed)
-    b.total[c.W : c.GGT + 1] = 0.0
+    for column in range(c.W, c.GGT + 1):
+        b.total[column] = 0.0
     for k in range(b.number[c.LEAVES]):
         f = b.node_f[b.leaves[k]]
-        f[c.W : c.GGT + 1] *= factor
         for column in range(c.W, c.GGT + 1):
+            f[column] *= factor
             b.total[column] += f[column]
     b.total[c.EPOCH] = now_s
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def variation(b: Buffers, node: int) -> float:
     """v_tile: the weighted variance of luma in the tile's block; 0 where it is empty."""
     f = b.node_f[node]
@@ -98,14 +102,14 @@ def variation(b: Buffers, node: int) -> float:
     return max(0.0, f[c.WLL] / f[c.W] - mean * mean)
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def tile_area(b: Buffers, node: int) -> int:
     """Pixels of a tile."""
     n = b.node_i[node]
     return (n[c.X1] - n[c.X0]) * (n[c.Y1] - n[c.Y0])
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def undersampling(b: Buffers, s: Settings, node: int) -> float:
     """u_tile: by how much the tile's share of empty places exceeds ``m`` times that of the whole buffer."""
     empty_tile = 1.0 - b.node_f[node, c.COUNT] / (tile_area(b, node) * s.depth)
@@ -113,7 +117,7 @@ def undersampling(b: Buffers, s: Settings, node: int) -> float:
     return max(0.0, empty_tile - s.m * empty_buffer)
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def _terms(b: Buffers, s: Settings, node: int) -> tuple[float, float, float]:
     """Variation, undersampling and occlusions of a tile, each times area ** ``area_power``."""
     area = tile_area(b, node)
@@ -122,7 +126,7 @@ def _terms(b: Buffers, s: Settings, node: int) -> tuple[float, float, float]:
     return variation(b, node) * size, undersampling(b, s, node) * size, hidden * size
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def tile_error(b: Buffers, s: Settings, node: int) -> float:
     """E_tile from variation, undersampling and occlusions, each over its sum over all tiles when last summed.
 
@@ -139,7 +143,7 @@ def tile_error(b: Buffers, s: Settings, node: int) -> float:
     return error
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def _find_error(b: Buffers, s: Settings, node: int) -> None:
     place = b.node_i[node, c.PLACE]
     b.error[place] = tile_error(b, s, node)
@@ -149,7 +153,18 @@ def _find_error(b: Buffers, s: Settings, node: int) -> None:
         b.pair_stale[b.pair_place[parent] // c.BLOCK] = True
 
 
-@njit(cache=True)
+@compiled
+def find_errors(b: Buffers, s: Settings) -> None:
+    """Find the errors of the tiles whose sums have changed: once after a chunk, however many changes there were."""
+    for k in range(b.number[c.TOUCHED]):
+        node = b.touched[k]
+        b.is_touched[node] = False
+        if b.node_i[node, c.PLACE] >= 0:
+            _find_error(b, s, node)
+    b.number[c.TOUCHED] = 0
+
+
+@compiled
 def sum_errors(b: Buffers, s: Settings) -> None:
     """Sum the three terms over all tiles, and refresh every tile's error."""
     v, u, o = 0.0, 0.0, 0.0
@@ -162,14 +177,14 @@ def sum_errors(b: Buffers, s: Settings) -> None:
     b.leaf_stale[:], b.pair_stale[:] = True, True
 
 
-@njit(cache=True)
+@compiled
 def _own(b: Buffers, s: Settings, node: int) -> None:
     n = b.node_i[node]
     for y in range(n[c.Y0], n[c.Y1]):
         b.leaf_of[y * s.width + n[c.X0] : y * s.width + n[c.X1]] = node
 
 
-@njit(cache=True)
+@compiled
 def _drop_pair(b: Buffers, node: int) -> None:
     place = b.pair_place[node]
     if place >= 0:
@@ -180,7 +195,7 @@ def _drop_pair(b: Buffers, node: int) -> None:
         b.pair_stale[place // c.BLOCK] = b.pair_stale[b.number[c.PAIRS] // c.BLOCK] = True
 
 
-@njit(cache=True)
+@compiled
 def _add_pair(b: Buffers, node: int) -> None:
     place = b.number[c.PAIRS]
     b.pairs[place], b.pair_place[node] = node, place
@@ -188,7 +203,7 @@ def _add_pair(b: Buffers, node: int) -> None:
     b.number[c.PAIRS] += 1
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def can_split(b: Buffers, s: Settings, node: int) -> bool:
     """Whether both halves of a tile would have at least ``least_tile_px`` pixels."""
     n = b.node_i[node]
@@ -197,7 +212,7 @@ def can_split(b: Buffers, s: Settings, node: int) -> bool:
     return max(wide, high) >= 2 and small >= s.least_tile_px
 
 
-@njit(cache=True)
+@compiled
 def split(b: Buffers, s: Settings, node: int) -> None:
     """Halve a tile across its longer side."""
     n = b.node_i[node]
@@ -227,7 +242,8 @@ def split(b: Buffers, s: Settings, node: int) -> None:
         # the waiting sample goes to the half in which it lies
         p = b.node_p[node]
         inside = k[c.X0] <= p[c.PX] < k[c.X1] and k[c.Y0] <= p[c.PY] < k[c.Y1]
-        b.node_p[child] = p
+        for column in range(c.NODE_P):
+            b.node_p[child, column] = p[column]
         if not inside:
             b.node_p[child, c.HAS] = 0.0
         _find_error(b, s, child)
@@ -235,19 +251,21 @@ def split(b: Buffers, s: Settings, node: int) -> None:
     _add_pair(b, node)
 
 
-@njit(cache=True)
+@compiled
 def merge(b: Buffers, s: Settings, node: int) -> None:
     """Make the two leaves under ``node`` one tile."""
     n = b.node_i[node]
     left, right = n[c.LEFT], n[c.RIGHT]
-    b.node_f[node] = b.node_f[left] + b.node_f[right]
+    for column in range(c.NODE_F):
+        b.node_f[node, column] = b.node_f[left, column] + b.node_f[right, column]
     newer = (
         left
         if b.node_p[left, c.HAS] * b.node_p[left, c.PTIME] >= b.node_p[right, c.HAS] * b.node_p[right, c.PTIME]
         or b.node_p[right, c.HAS] == 0
         else right
     )
-    b.node_p[node] = b.node_p[newer]
+    for column in range(c.NODE_P):
+        b.node_p[node, column] = b.node_p[newer, column]
     # the merged tile takes the left one's place, the last leaf the right one's
     place, gap = b.node_i[left, c.PLACE], b.node_i[right, c.PLACE]
     b.leaves[place], n[c.PLACE] = node, place
@@ -276,7 +294,7 @@ def even_tiling(b: Buffers, s: Settings) -> None:
     _even(b, s)
 
 
-@njit(cache=True)
+@compiled
 def _even(b: Buffers, s: Settings) -> None:
     while b.number[c.LEAVES] < s.least_tiles:
         largest, found = 0, -1

@@ -1,7 +1,7 @@
 """Visits of the sampler: where each one's samples go, and what is learnt from them (Dayal et al. 2005, Fig. 5).
 
-A chunk of visits is planned (tiles drawn, crosshairs completed and begun, others chosen for reprojection), traced in
-one launch, and taken in.
+The visits of a launch are planned (tiles drawn, crosshairs completed and begun, others chosen for reprojection),
+traced together, and taken in one after another.
 """
 
 from __future__ import annotations
@@ -9,11 +9,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from renderers.adaptive_frameless import buffers as c
 from renderers.adaptive_frameless import rays
 from renderers.adaptive_frameless.buffers import Buffers, Settings
+from renderers.adaptive_frameless.compiled import compiled, inlined
 from renderers.adaptive_frameless.crosshair import (
     ARMS,
     blended,
@@ -52,7 +52,7 @@ class Poses(NamedTuple):
     t1_s: float
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def _world(p: Poses, mover: int, x: float, y: float, z: float, time_s: float, pose: np.ndarray) -> tuple:
     if mover == 0:
         return x, y, z
@@ -60,7 +60,7 @@ def _world(p: Poses, mover: int, x: float, y: float, z: float, time_s: float, po
     return moved(pose, x, y, z)
 
 
-@njit(cache=True)
+@compiled
 def plan(
     b: Buffers, s: Settings, p: Poses, times_s: np.ndarray, chance: np.ndarray, rows: np.ndarray, job_f: np.ndarray,
     job_i: np.ndarray,
@@ -69,8 +69,9 @@ def plan(
 
     ``times_s``: seconds after t1. ``chance`` (n, 5 + 2 r): uniform numbers in [0, 1).
     """
-    camera, pose = np.empty((3, 4)), np.empty((3, 4))
-    rows[:, 7] = 0.0
+    camera, pose = b.pose[0], b.pose[1]
+    for lane in range(len(rows)):
+        rows[lane, 7] = 0.0
     replaced = 0
     for k in range(len(times_s)):
         time_s = times_s[k]
@@ -142,21 +143,22 @@ def plan(
                 row[3], row[4], row[5], row[6], row[7] = wx, wy, wz, time_s, 1.0
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def hit(found: np.ndarray, sample: int) -> tuple:
     """A result row's place in its mover's space, and the mover."""
     f = found[sample]
     return f[rays.LOCAL_X], f[rays.LOCAL_Y], f[rays.LOCAL_Z], int(f[rays.MOVER])
 
 
-@njit(cache=True)
+@compiled
 def take_in(
-    b: Buffers, s: Settings, p: Poses, times_s: np.ndarray, rows: np.ndarray, found: np.ndarray, job_f: np.ndarray,
-    job_i: np.ndarray,
+    b: Buffers, s: Settings, p: Poses, begin: int, end: int, times_s: np.ndarray, rows: np.ndarray, found: np.ndarray,
+    job_f: np.ndarray, job_i: np.ndarray,
 ) -> int:  # fmt: skip
-    """Put the traced chunk into deep buffer, tiles and stream; returns how many visibility rays were traced."""
+    """Put the traced visits ``begin`` .. ``end`` - 1 of a launch into deep buffer, tiles and stream; returns how many
+    visibility rays were traced for them."""
     asked = 0
-    for k in range(len(times_s)):
+    for k in range(begin, end):
         time_s = p.t1_s + times_s[k]
         first, job = k * SAMPLES_PER_VISIT, job_f[k]
         # every sample goes to the reconstructor at once
@@ -173,7 +175,7 @@ def take_in(
     return asked
 
 
-@njit(cache=True)
+@compiled
 def _complete(b: Buffers, s: Settings, found: np.ndarray, first: int, job: np.ndarray, time_s: float) -> None:
     """A finished crosshair into the front of its pixel's queue."""
     px = min(max(int(job[JX]), 0), s.width - 1)
@@ -197,7 +199,7 @@ def _complete(b: Buffers, s: Settings, found: np.ndarray, first: int, job: np.nd
     push_front(b, s, entry, py * s.width + px)
 
 
-@njit(cache=True)
+@compiled
 def _begin(b: Buffers, s: Settings, found: np.ndarray, sample: int, job: np.ndarray, time_s: float) -> None:
     """The initiating sample waits in its tile for the next visit."""
     px = min(max(int(job[JNEW_X]), 0), s.width - 1)
@@ -210,13 +212,13 @@ def _begin(b: Buffers, s: Settings, found: np.ndarray, sample: int, job: np.ndar
     begun[c.PPOINT], begun[c.PPOINT + 1], begun[c.PPOINT + 2], begun[c.PMOVER] = x, y, z, mover
 
 
-@njit(cache=True)
+@compiled
 def _reproject(
     b: Buffers, s: Settings, p: Poses, time_s: float, found: np.ndarray, visit: int, job_i: np.ndarray
 ) -> int:
     """Move the visit's chosen crosshairs to where they are seen now; hidden ones wait to be made anew (section 6.1)."""
-    camera, pose = np.empty((3, 4)), np.empty((3, 4))
-    x, y = np.empty(5), np.empty(5)
+    camera, pose = b.pose[0], b.pose[1]
+    x, y = b.arm[0], b.arm[1]
     blended(p.camera, p.lens[0], time_s, camera)
     asked = 0
     for j in range(s.reprojected):
