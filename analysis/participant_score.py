@@ -18,12 +18,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from scipy import optimize, special
 
 from analysis.log_tails import log10_t, p_t
-from analysis.threshold_model import Bounds, Quadrature, ThresholdFit
+from analysis.threshold_model import WIDE_SD, Bounds, Quadrature, ThresholdFit
 
 # With random intercepts this far apart (logits) nearly every participant always answers the same: more says no more.
 MAX_SD = 20.0
@@ -58,6 +59,7 @@ def rejected_from(statistic: Callable[[float], float], estimate: float, step: fl
     there.
     """
 
+    @cache
     def excess(value: float) -> float:
         size = abs(statistic(value))
         return -cut if math.isnan(size) else min(size, 1e6) - cut
@@ -68,7 +70,7 @@ def rejected_from(statistic: Callable[[float], float], estimate: float, step: fl
     for _ in range(8):
         outer = estimate + reach
         if excess(outer) >= 0:
-            return float(optimize.brentq(excess, inner, outer, xtol=1e-9 * abs(step)))
+            return float(optimize.brentq(excess, inner, outer, xtol=1e-7 * abs(step)))
         inner, reach = outer, 2 * reach
     return math.copysign(math.inf, step)
 
@@ -77,7 +79,7 @@ class ParticipantScore:
     """Score tests of single coefficients; keeps the last maximum as the next start."""
 
     def __init__(self, bounds: Bounds, groups: np.ndarray, fit: ThresholdFit, link: str, nodes: int, ordered: int):
-        self.quadrature = Quadrature(bounds, groups, link, nodes)
+        self.quadrature = Quadrature(bounds, groups, link, nodes, wide=fit.sd > WIDE_SD)
         self.ordered = ordered
         self.best = np.append(fit.phi, min(fit.sd, MAX_SD))
         self.start = self.best
@@ -95,9 +97,9 @@ class ParticipantScore:
         """Coefficient ``k`` against 0, and its interval."""
         df, estimate = self.df(k), float(self.best[k])
         self.start = self.best
-        converged = constrained(self.quadrature, self.best, k, 0.0, self.ordered) is not None
         statistic = self.statistic(k, 0.0)
         if math.isnan(statistic):
+            converged = self.start is not self.best
             return TermTest(math.nan, df, math.nan, math.nan, math.nan, math.nan, converged)
         cut = float(special.stdtrit(df, 0.5 + level / 2))
         ends = []
@@ -110,11 +112,11 @@ class ParticipantScore:
 
     def statistic(self, k: int, value: float) -> float:
         """t of the participants' contributions to the score at ``value``; positive where the estimate is larger."""
-        theta = constrained(self.quadrature, self.start, k, value, self.ordered)
-        if theta is None:
+        found = constrained(self.quadrature, self.start, k, value, self.ordered)
+        if found is None:
             return math.nan
+        theta, scores, information = found
         self.start = theta
-        _, scores, information = self.quadrature.expansion(theta[:-1], theta[-1])
         at_edge = theta[-1] in (0.0, MAX_SD)
         rest = [j for j in range(len(theta) - int(at_edge)) if j != k]
         own = scores[:, k]
@@ -129,26 +131,36 @@ class ParticipantScore:
         return math.copysign(math.inf if left <= 1e-12 * n else math.sqrt(df / left / squares) * abs(total), total)
 
 
-def constrained(quadrature: Quadrature, start: np.ndarray, k: int, value: float, ordered: int) -> np.ndarray | None:
-    """(phi, sd) of the largest likelihood with phi[k] = ``value`` (sd to ``MAX_SD``); None: no maximum."""
-    theta: np.ndarray | None = start.copy()
-    assert theta is not None
+Maximum = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""(phi, sd), and the participants' scores and the information there."""
+
+
+def constrained(quadrature: Quadrature, start: np.ndarray, k: int, value: float, ordered: int) -> Maximum | None:
+    """The largest likelihood with phi[k] = ``value`` and sd up to ``MAX_SD``; None where the search does not end."""
+    theta = start.copy()
     theta[k] = value
     free = [j for j in range(len(theta) - 1) if j != k]
     if theta[-1] == 0:
-        theta = _climbed(quadrature, theta, free, ordered)
+        found = _climbed(quadrature, theta, free, ordered)
         # at SD 0 the likelihood is level in it: its curvature says whether more is better
-        if theta is None or quadrature.expansion(theta[:-1], 0.0)[2][-1, -1] >= 0:
-            return theta
+        if found is None or found[2][-1, -1] >= 0:
+            return found
+        theta = found[0].copy()
         theta[-1] = 0.3
-    theta = _climbed(quadrature, theta, [*free, len(theta) - 1], ordered)
-    if theta is not None and theta[-1] < 1e-3:
+    for sd in (theta[-1], 1.0, 4.0):
+        # with answers that are nearly all alike the quadrature is rough far out: begin again nearer
+        theta[-1] = sd
+        found = _climbed(quadrature, theta, [*free, len(theta) - 1], ordered)
+        if found is not None:
+            break
+    if found is not None and found[0][-1] < 1e-3:
+        theta = found[0].copy()
         theta[-1] = 0.0
         return _climbed(quadrature, theta, free, ordered)
-    return theta
+    return found
 
 
-def _climbed(quadrature: Quadrature, theta: np.ndarray, free: list[int], ordered: int) -> np.ndarray | None:
+def _climbed(quadrature: Quadrature, theta: np.ndarray, free: list[int], ordered: int) -> Maximum | None:
     """Newton's method from ``theta`` over its ``free`` entries, with step halving."""
     value, scores, information = quadrature.expansion(theta[:-1], theta[-1])
     for _ in range(60):
@@ -158,7 +170,7 @@ def _climbed(quadrature: Quadrature, theta: np.ndarray, free: list[int], ordered
         step = _uphill(information[np.ix_(free, free)], gradient)
         gain, factor = float(gradient @ step), 1.0
         if gain < 1e-18:
-            return theta
+            return theta, scores, information
         while factor > 1e-6:
             trial = theta.copy()
             trial[free] += factor * step
@@ -170,8 +182,12 @@ def _climbed(quadrature: Quadrature, theta: np.ndarray, free: list[int], ordered
                     break
             factor /= 2
         else:
-            return theta if gain < 1e-9 else None
+            # nothing higher: as near as the quadrature tells, a thirtieth of a standard error at most
+            return (theta, scores, information) if gain < 1e-3 else None
         theta, (value, scores, information) = trial, reached
+        if gain < 1e-10 and factor == 1.0:
+            # the next step is of the order of this one's square
+            return theta, scores, information
     return None
 
 

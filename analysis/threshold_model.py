@@ -16,6 +16,9 @@ import pandas as pd
 from scipy import optimize, special
 
 LINKS = ("logit", "probit", "cloglog")
+# Random intercepts further apart than this make whole groups answer alike: integrands are no longer near normal, and
+# nodes about their mode miss part of them. An even grid does not (its error falls as exp(-2 pi^2 / (SD step))).
+WIDE_SD = 3.0
 
 
 @dataclass(frozen=True)
@@ -172,16 +175,23 @@ def fit_fixed(bounds: Bounds, start: np.ndarray, link: str) -> ThresholdFit:
 
 
 class Quadrature:
-    """Log-likelihood and gradient of a model with one random intercept; keeps each group's mode between calls."""
+    """Log-likelihood and gradient of a model with one random intercept; keeps each group's mode between calls.
 
-    def __init__(self, bounds: Bounds, groups: np.ndarray, link: str, nodes: int) -> None:
-        self.link = link
+    ``wide``: a grid of 401 values from -8 to 8, the same for all groups, in place of nodes about each group's mode.
+    """
+
+    def __init__(self, bounds: Bounds, groups: np.ndarray, link: str, nodes: int, wide: bool = False) -> None:
+        self.link, self.wide = link, wide
         order = np.argsort(groups, kind="stable")
         self.bounds = bounds.rows(order)
         self.codes = groups[order]
         self.starts = np.flatnonzero(np.diff(self.codes, prepend=-1))
-        self.t, weight = special.roots_hermite(nodes)
-        self.log_weight = np.log(weight) + self.t**2
+        if wide:
+            self.t = np.linspace(-8, 8, 401) / math.sqrt(2)
+            self.log_weight = np.full(401, math.log(self.t[1] - self.t[0]))
+        else:
+            self.t, weight = special.roots_hermite(nodes)
+            self.log_weight = np.log(weight) + self.t**2
         self.mode = np.zeros(len(self.starts))
 
     def _sum(self, values: np.ndarray) -> np.ndarray:
@@ -200,9 +210,9 @@ class Quadrature:
         points = u[:, None] + math.sqrt(2) * tau[:, None] * self.t
         value, ga, gb, *_ = self._terms(a, b, sd * points[self.codes])
         joint = self._sum(value) - points**2 / 2 + self.log_weight
-        total = special.logsumexp(joint, axis=1)
+        posterior, total = _normalised(joint)
         log_likelihood = float(np.sum(total + np.log(tau) - 0.5 * math.log(math.pi)))
-        posterior = np.exp(joint - total[:, None])[self.codes]
+        posterior = posterior[self.codes]
         mean_a, mean_b = np.sum(posterior * ga, axis=1), np.sum(posterior * gb, axis=1)
         by_sd = -float(np.sum(posterior * (ga + gb) * points[self.codes]))
         gradient = self.bounds.upper.T @ mean_a + self.bounds.lower.T @ mean_b
@@ -220,13 +230,13 @@ class Quadrature:
         points = u[:, None] + math.sqrt(2) * tau[:, None] * self.t
         value, ga, gb, haa, hbb, hab = self._terms(a, b, sd * points[self.codes])
         joint = self._sum(value) - points**2 / 2 + self.log_weight
-        total = special.logsumexp(joint, axis=1)
-        posterior = np.exp(joint - total[:, None])
+        posterior, total = _normalised(joint)
         # a column at a time: what is kept is (groups, nodes), never (rows, nodes, parameters)
         at_nodes = [self._sum(up[:, None] * ga + low[:, None] * gb) for up, low in zip(upper.T, lower.T, strict=True)]
         slopes = np.stack([*at_nodes, -self._sum(ga + gb) * points])
         scores = np.einsum("gk,dgk->gd", posterior, slopes)
-        spread = np.einsum("gk,dgk,egk->de", posterior, slopes, slopes, optimize=True) - scores.T @ scores
+        flat = slopes.reshape(len(slopes), -1)
+        spread = (flat * posterior.ravel()) @ flat.T - scores.T @ scores
         weight = posterior[self.codes]
         by_a, by_b = np.sum(weight * haa, axis=1), np.sum(weight * hbb, axis=1)
         cross = upper.T @ (np.sum(weight * hab, axis=1)[:, None] * lower)
@@ -239,6 +249,8 @@ class Quadrature:
 
     def _modes(self, a: np.ndarray, b: np.ndarray, sd: float) -> tuple[np.ndarray, np.ndarray]:
         """Most likely u of every group and the curvature there, by Newton's method (concave in u)."""
+        if self.wide:
+            return np.zeros(len(self.starts)), np.ones(len(self.starts))
         u = self.mode
         for _ in range(60):
             _, ga, gb, haa, hbb, hab = self._terms(a, b, sd * u[self.codes])
@@ -250,6 +262,14 @@ class Quadrature:
                 break
         self.mode = u
         return u, curve
+
+
+def _normalised(joint: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Every group's (row's) probabilities of its nodes, and the logarithm of their sum."""
+    top = joint.max(axis=1)
+    weight = np.exp(joint - top[:, None])
+    total = weight.sum(axis=1)
+    return weight / total[:, None], top + np.log(total)
 
 
 def fit_mixed(
@@ -281,14 +301,18 @@ def fit_mixed(
     for start[-1] in (0.7, 0.2):
         found = optimize.minimize(objective, start, jac=True, method="BFGS", options={"gtol": 1e-6, "maxiter": 500})
         theta = np.append(natural(found.x), abs(found.x[-1]))
-        if found.fun >= 1e10 or theta[-1] > 100.0:
-            nothing = np.full(len(fixed.phi), math.nan)
-            return ThresholdFit(nothing, np.diag(nothing), math.nan, math.inf, math.nan, False)
         if theta[-1] >= 1e-3 and -found.fun > fixed.log_likelihood + 1e-9:
             break
         # The likelihood is level at SD 0, where a search may rest: its curvature says whether 0 is the maximum.
         if quadrature.expansion(fixed.phi, 0.0)[2][-1, -1] >= 0:
             break
+    if theta[-1] > WIDE_SD:
+        quadrature = Quadrature(bounds, groups, link, nodes, wide=True)
+        found = optimize.minimize(objective, found.x, jac=True, method="BFGS", options={"gtol": 1e-6, "maxiter": 500})
+        theta = np.append(natural(found.x), abs(found.x[-1]))
+    if found.fun >= 1e10 or theta[-1] > 100.0:
+        nothing = np.full(len(fixed.phi), math.nan)
+        return ThresholdFit(nothing, np.diag(nothing), math.nan, math.inf, math.nan, False)
     if theta[-1] < 1e-3 or -found.fun <= fixed.log_likelihood + 1e-9:
         return ThresholdFit(fixed.phi, fixed.covariance, fixed.log_likelihood, 0.0, math.nan, fixed.converged)
     value, scores, information = quadrature.expansion(theta[:-1], theta[-1])
