@@ -12,7 +12,6 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import hashlib
-import json
 import os
 import random
 import struct
@@ -21,10 +20,11 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 from studyapp.session_file import verify
+from tests.evidence import write_evidence
 from tests.prove.kill_sessions import ROOT, SESSION, cell_problems, complete, session_arguments, start, trial_rows
 
 DISK_MB = 64
@@ -210,8 +210,7 @@ if __name__ == "__main__":
         inside = ["unshare", "-m", sys.executable, "-m", "tests.prove.bad_disks", *sys.argv[1:]]
         sys.exit(subprocess.run(inside, env={**os.environ, INSIDE: "1"}, check=False).returncode)
     results = prove(int(sys.argv[1]) if len(sys.argv) > 1 else 5)
-    Path("evidence").mkdir(exist_ok=True)
-    Path("evidence/bad_disks.json").write_text(json.dumps([asdict(one) for one in results], indent=1))
+    write_evidence("bad_disks", results)
     bad = [one for one in results if one.problems or one.lost]
     print(*(one for one in results[:3]), f"{len(results)} disks failed, {len(bad)} with problems", *bad, sep="\n")
     sys.exit(bool(bad))

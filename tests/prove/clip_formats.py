@@ -27,6 +27,7 @@ from stimuli.clip_parts import PartWriter, assemble
 from stimuli.clip_request import ClipRequest
 from stimuli.encode import encode
 from stimuli.exr import COMPRESSIONS, read_exr, write_exr
+from tests.evidence import write_evidence
 
 SIZES = ((192, 144), (512, 512), (960, 540), (1920, 1080))
 
@@ -148,9 +149,7 @@ def main(arguments: list[str] | None = None) -> int:
             }
         result["large_store"] = large = large_store(folder, args.clips)
     large["passed"] = large["verify_bytes_s"] - large["read_alone_s"] < 10 and not large["problems"]
-    out = Path(args.out)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    out.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+    write_evidence("clip_formats", result, args.out)
     print(json.dumps(result, indent=2))
     return 0 if large["passed"] else 1
 

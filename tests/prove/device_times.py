@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import sys
 import time
 import uuid
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -21,6 +19,7 @@ from studyapp.devices.status_board import GONE
 from studyapp.devices.tracker_emulators import gazepoint_emulator, pupil_emulator
 from studyapp.gaze.angles import ScreenGeometry
 from studyapp.seams import Press
+from tests.evidence import write_evidence
 
 SCREEN = ScreenGeometry(0.53, 0.30, 0.6)
 
@@ -99,8 +98,5 @@ if __name__ == "__main__":
     trips = [round_trip(kind, 100) for kind in ("xid", "rb-820", "lines")]
     cuts = {kind: noticed_ms(kind) for kind in ("xid", "rb-820", "lsl", "gazepoint", "pupil")}
     print(*trips, cuts, sep="\n")
-    Path("evidence").mkdir(exist_ok=True)
-    Path("evidence/device_times.json").write_text(
-        json.dumps({"round_trips": [asdict(trip) for trip in trips], "noticed_ms": cuts}, indent=1)
-    )
+    write_evidence("device_times", {"round_trips": trips, "noticed_ms": cuts})
     sys.exit(any(abs(trip.mean_ms) >= 1 for trip in trips) or max(cuts.values()) > 250)

@@ -5,7 +5,6 @@ evidence/engine_oracles.json.
 
 from __future__ import annotations
 
-import json
 import multiprocessing
 import os
 import sys
@@ -27,6 +26,7 @@ from renderers.mitsuba_scene import diffuse_only
 from renderers.vanilla import frame_lanes
 from stimuli import load_scene
 from stimuli.scene import Light, Part, Primitive, Scene
+from tests.evidence import write_evidence
 from tests.renderers.float64_tracer import nearest, world_triangles
 from tests.renderers.mitsuba_oracle import centre_pictures
 
@@ -235,9 +235,7 @@ def main() -> int:
     found["bench"] = vars(measure_whitted(load_scene("tunnel_geom")))
     print(found["bench"], flush=True)
     found["variant"] = mi.variant()
-    out = Path("evidence")
-    out.mkdir(exist_ok=True)
-    (out / "engine_oracles.json").write_text(json.dumps(found, indent=2))
+    write_evidence("engine_oracles", found)
     return 0
 
 

@@ -14,7 +14,6 @@ import sys
 from collections.abc import Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,6 +27,7 @@ from protocols.observer import cell_mean
 from protocols.simulated_table import simulated_rows
 from protocols.study import Study
 from protocols.trial import Trial
+from tests.evidence import write_evidence
 
 NAME = "foveated_2016"
 FACTORS = ["frc", "scene", "fixation"]
@@ -176,7 +176,6 @@ def prove(studies: int = 200, participants: int = 15, jobs: int = 2) -> dict[str
 
 if __name__ == "__main__":
     evidence = prove(int(sys.argv[1]) if len(sys.argv) > 1 else 200)
-    Path("evidence").mkdir(exist_ok=True)
-    Path("evidence/foveated_2016_power.json").write_text(json.dumps(evidence, indent=1) + "\n")
+    write_evidence("foveated_2016_power", evidence)
     print(json.dumps(evidence, indent=1))
     sys.exit(1 if evidence["faults"] else 0)

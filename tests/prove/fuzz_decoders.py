@@ -3,15 +3,14 @@ not hold. Recovery: a valid packet after each burst of noise is decoded."""
 
 from __future__ import annotations
 
-import json
 import re
 import sys
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
 
 from studyapp.devices.decoders import BYTE_BOXES, LINE_BOXES, ByteDecoder, LineDecoder, XidDecoder, xid_packet
+from tests.evidence import write_evidence
 
 
 @dataclass(frozen=True)
@@ -118,7 +117,6 @@ def prove(n_bytes: int = 1_000_000) -> list[FuzzResult]:
 
 if __name__ == "__main__":
     found = prove()
-    Path("evidence").mkdir(exist_ok=True)
-    Path("evidence/fuzz_decoders.json").write_text(json.dumps([asdict(r) for r in found], indent=1))
+    write_evidence("fuzz_decoders", found)
     print("\n".join(map(str, found)))
     sys.exit(any(r.invented or r.recovered != r.probes for r in found))

@@ -20,7 +20,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import count, cycle
 from multiprocessing import get_context
 from pathlib import Path
@@ -29,6 +29,7 @@ from typing import Any
 from protocols.records import has_table
 from studyapp.cli import main
 from studyapp.session_file import read_header, verify
+from tests.evidence import write_evidence
 
 ROOT = Path(__file__).parents[2]
 VICTIMS = ("presenter", "writer", "reader", "emulator_0", "emulator_1")
@@ -221,9 +222,7 @@ def _record(found: list[Kill]) -> dict[str, Any]:
         "kills_with_problems": sum(bool(kill.problems) for kill in found),
         "killed_in_the_middle": sum(0 < kill.committed < TRIALS for kill in found),
     }
-    Path("evidence").mkdir(exist_ok=True)
-    each = [asdict(kill) for kill in found]
-    Path("evidence/kill_sessions.json").write_text(json.dumps({**summary, "each": each}, indent=1))
+    write_evidence("kill_sessions", {**summary, "each": found})
     return summary
 
 

@@ -23,6 +23,7 @@ import psutil
 from renderers.produce import produce
 from stimuli.clip import ClipStore
 from stimuli.clip_job import ClipJob
+from tests.evidence import write_evidence
 from tests.renderers.loopback_cluster import ROOT, LoopbackCluster
 from tests.renderers.test_produce import all_files
 from tests.stimuli.test_clip import request
@@ -157,9 +158,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--out", default="evidence/kill_workers.json")
     args = parser.parse_args(arguments)
     result = prove(args.kills, args.seed)
-    out = Path(args.out)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    out.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+    write_evidence("kill_workers", result, args.out)
     print(json.dumps(result, indent=2))
     return 0 if result["passed"] else 1
 

@@ -12,7 +12,6 @@ evidence/packets_across_frames.json: medians of milliseconds, and what a sparse 
 
 from __future__ import annotations
 
-import json
 import os
 import statistics
 import sys
@@ -32,6 +31,7 @@ from renderers.frozen import frozen, opaque_float, opaque_uint
 from renderers.pixels import tile_order
 from stimuli.load import load_scene
 from stimuli.scene import Scene
+from tests.evidence import write_evidence
 
 RATE_HZ = Fraction(240)
 SIZE_PX = (960, 540)
@@ -120,9 +120,7 @@ def main(names: list[str]) -> None:
     for name in names:
         rows[Path(name).stem] = row = measured(load_scene(name))
         print(Path(name).stem, {key: round(value, 4) for key, value in row.items()}, flush=True)
-    out = Path("evidence")
-    out.mkdir(exist_ok=True)
-    (out / "packets_across_frames.json").write_text(json.dumps(rows, indent=1))
+    write_evidence("packets_across_frames", rows)
 
 
 if __name__ == "__main__":

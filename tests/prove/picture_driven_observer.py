@@ -30,6 +30,7 @@ from studyapp.clips import resolve_clips
 from studyapp.picture_errors import PictureErrors
 from studyapp.seams import FrameSource
 from studyapp.store_root import store_directory
+from tests.evidence import write_evidence
 
 PROTOCOL = """\
 study: pictures
@@ -202,7 +203,6 @@ def prove(
 if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as made:
         evidence = prove(Path(made))
-    Path("evidence").mkdir(exist_ok=True)
-    Path("evidence/picture_driven_observer.json").write_text(json.dumps(evidence, indent=1) + "\n")
+    write_evidence("picture_driven_observer", evidence)
     print(json.dumps(evidence, indent=1))
     sys.exit(1 if evidence["faults"] else 0)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import numpy as np
 
 from renderers.engine import Engine
 from renderers.parameters import Probes
+from tests.evidence import write_evidence
 from tests.renderers.polar.rooms import furnace, irradiance_at, state_at
 
 ALBEDO = 0.95
@@ -42,6 +42,5 @@ def prove(frames: int = FRAMES, every: int = 50) -> dict[str, object]:
 
 if __name__ == "__main__":
     result = prove()
-    Path("evidence").mkdir(exist_ok=True)
-    Path("evidence/polar.json").write_text(json.dumps(result, indent=1))
+    write_evidence("polar", result)
     print(json.dumps(result, indent=1))

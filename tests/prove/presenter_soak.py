@@ -38,6 +38,7 @@ from studyapp.present.bench import StreamedClip
 from studyapp.present.frame_loop import ask_realtime
 from studyapp.present.presenter import KeptFlips, Presenter
 from studyapp.seams import Display, Flip
+from tests.evidence import write_evidence
 from tests.studyapp.headless_compositor import CompositorMissing, headless_compositor
 
 PANEL = (256, 256)
@@ -211,9 +212,7 @@ def main(arguments: list[str] | None = None) -> int:
         display.close()
     if args.only != "offscreen":
         results["sway"] = on_compositor(args.seconds, args.stalls, args.seed)
-    out = Path(args.out)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    out.write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
+    write_evidence("presenter_soak", results, args.out)
     print(json.dumps(results, indent=2))
     return 0 if all(passes(result) for result in results.values() if "absent" not in result) else 1
 

@@ -7,14 +7,13 @@ the senders, what arrived in the file; the same loop with nothing but its log sa
 
 from __future__ import annotations
 
-import json
 import os
 import sqlite3
 import sys
 import tempfile
 import time
 import uuid
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 
@@ -30,6 +29,7 @@ from studyapp.gaze.angles import ScreenGeometry
 from studyapp.present.frame_loop import ask_realtime, children_stay_normal, leave_realtime
 from studyapp.session_devices import EMULATOR_SILENCE_S
 from studyapp.session_log import DurableLog
+from tests.evidence import write_evidence
 
 SCREEN = ScreenGeometry(0.53, 0.30, 0.6)
 ALONE_S = 60.0
@@ -142,8 +142,7 @@ if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as name:
         found = stream(float(sys.argv[1]) if len(sys.argv) > 1 else 600.0, Path(name), ALONE_S, granted)
     leave_realtime()
-    Path("evidence").mkdir(exist_ok=True)
-    Path("evidence/streams.json").write_text(json.dumps(asdict(found), indent=1))
+    write_evidence("streams", found)
     print(found)
     whole = (
         found.gaze_received == found.gaze_expected

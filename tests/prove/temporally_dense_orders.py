@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import math
 from fractions import Fraction
-from pathlib import Path
 
 import numpy as np
 
@@ -20,6 +19,7 @@ from renderers.parameters import TemporallyDense as Params
 from renderers.reference import ReferenceRenderer
 from renderers.temporally_dense.technique import TemporallyDense
 from stimuli.encode import display_values
+from tests.evidence import write_evidence
 from tests.renderers.scenes import SlidingCamera, noise_pixels, quad, scene_of, unlit, velocity_for
 
 RATE = Fraction(240)
@@ -69,6 +69,5 @@ def prove() -> dict[str, object]:
 
 if __name__ == "__main__":
     result = prove()
-    Path("evidence").mkdir(exist_ok=True)
-    Path("evidence/temporally_dense_orders.json").write_text(json.dumps(result, indent=1))
+    write_evidence("temporally_dense_orders", result)
     print(json.dumps(result, indent=1))

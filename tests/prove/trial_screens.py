@@ -8,7 +8,6 @@ the display's edge.
 from __future__ import annotations
 
 import hashlib
-import json
 import sys
 from collections.abc import Mapping
 from fractions import Fraction
@@ -25,6 +24,7 @@ from studyapp.present.overlay import SMALLEST_X_HEIGHT_DEG, Style, Words, size_d
 from studyapp.present.presenter import DESK, KeptFlips, Presenter
 from studyapp.seams import Display, Flip, Press
 from studyapp.trial import Person, Rules, TrialRunner
+from tests.evidence import evidence_folder, write_evidence
 
 SIZES = ((1280, 720), (3840, 2160))
 PANEL = {1280: (400, 400), 3840: (1200, 1200)}
@@ -167,10 +167,10 @@ def screens(size_px: tuple[int, int], folder: Path, style: Style) -> dict[str, A
 
 
 if __name__ == "__main__":
-    into = Path("evidence/screens")
-    into.mkdir(parents=True, exist_ok=True)
+    into = evidence_folder() / "screens"
+    into.mkdir(exist_ok=True)
     summary = {f"{w}x{h}": screens((w, h), into, style_on(119)) for w, h in SIZES}
-    Path("evidence/trial_screens.json").write_text(json.dumps(summary, indent=1))
+    write_evidence("trial_screens", summary)
     every = [one for by_type in summary.values() for one in by_type.values()]
     smallest = min(one["letters_deg"] for one in every)
     print(f"{sum(one['screens'] for one in every)} screens, smallest letters {smallest:.3f} degrees")

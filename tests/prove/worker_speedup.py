@@ -26,6 +26,7 @@ from stimuli import load_scene
 from stimuli.clip import ClipStore
 from stimuli.clip_job import ClipJob
 from stimuli.clip_request import ClipRequest
+from tests.evidence import write_evidence
 
 
 @dataclass(frozen=True)
@@ -94,9 +95,7 @@ def main(arguments: list[str] | None = None) -> int:
         "load_average": psutil.getloadavg(),
         "passed": ratio >= 1.8,
     }
-    out = Path(args.out)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    out.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+    write_evidence("worker_speedup", result, args.out)
     print(json.dumps(result, indent=2))
     return 0 if result["passed"] else 1
 

@@ -24,6 +24,7 @@ from stimuli import load_scene
 from stimuli.clip import ClipStore
 from stimuli.clip_job import ClipJob
 from stimuli.clip_request import ClipRequest
+from tests.evidence import write_evidence
 from tests.renderers.test_produce import all_files
 
 SIZE_PX = (40, 28)
@@ -99,9 +100,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--out", default="evidence/workers_alike.json")
     args = parser.parse_args(arguments)
     result = prove(args.frames)
-    out = Path(args.out)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    out.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+    write_evidence("workers_alike", result, args.out)
     print(json.dumps(result, indent=2))
     return 0 if result["passed"] else 1
 

@@ -23,6 +23,7 @@ import numpy as np
 
 from protocols.load import LIBRARY
 from studyapp.cli import main
+from tests.evidence import write_evidence
 
 LIMIT_S = 2.0
 LIMIT_MB = 500
@@ -212,7 +213,6 @@ def prove(count: int = 2000) -> dict[str, object]:
 
 if __name__ == "__main__":
     evidence = prove(int(sys.argv[1]) if len(sys.argv) > 1 else 2000)
-    Path("evidence").mkdir(exist_ok=True)
-    Path("evidence/yaml_mutations.json").write_text(json.dumps(evidence, indent=1))
+    write_evidence("yaml_mutations", evidence)
     print(json.dumps(evidence, indent=1))
     sys.exit(1 if evidence["faults"] else 0)
