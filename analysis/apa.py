@@ -10,6 +10,7 @@ import pandas as pd
 
 from analysis.blocks import number, p_words
 from analysis.planned_test import Result
+from analysis.results import BOUNDARY
 from analysis.rows import rows_of_table
 
 
@@ -30,7 +31,11 @@ def sentences(result: Result) -> list[str]:
         return []
     said = []
     for row in ({str(key): value for key, value in one.items()} for one in result.table.to_dict("records")):
-        if row.get("status", "ok") != "ok":
+        status = row.get("status", "ok")
+        if status == BOUNDARY and np.isfinite([row.get(end, np.nan) for end in ("p", "ci_low", "ci_high")]).all():
+            # a variance of 0 is a result: the numbers are those of the model without it
+            said.append(f"{make(result, row)[:-1]} ({row['note']}).")
+        elif status != "ok":
             name = row.get("effect") or row.get("item") or row.get("term") or result.test.name
             said.append(f"{result.test.name}, {name}: {row['status'].replace('_', ' ')} ({row.get('note', '')}).")
         else:
@@ -103,12 +108,14 @@ def _scale(result: Result, row: Mapping[str, Any]) -> str:
 
 
 def _coefficient(result: Result, row: Mapping[str, Any]) -> str:
-    statistic = f"t({number(row['df'], 1)}) = {number(row['t'], 2)}" if "t" in row else f"z = {number(row['z'], 2)}"
-    estimate = f"b = {number(row['estimate'], 2)}, SE = {number(row['se'], 2)}"
-    p = p_words(row["p"])
-    if np.isfinite(row.get("p_lr", np.nan)):
-        p = f"likelihood-ratio {p_words(row['p_lr'])}"
-    return f"{result.test.name}, {row['term']}: {estimate}, {statistic}, {p}."
+    if np.isfinite(row.get("df", np.nan)):
+        statistic = f"t({number(row['df'], 1 if row['df'] % 1 else 0)}) = {number(row['t'], 2)}"
+    elif "chi2" in row:
+        statistic = f"χ²(1) = {number(row['chi2'], 2)}"
+    else:
+        statistic = f"z = {number(row['z'], 2)}"
+    estimate = f"b = {number(row['estimate'], 2)}, {_interval(row['ci_low'], row['ci_high'])}"
+    return f"{result.test.name}, {row['term']}: {estimate}, {statistic}, {p_words(row['p'])}."
 
 
 def _wilcoxon(result: Result, row: Mapping[str, Any]) -> str:

@@ -130,7 +130,7 @@ TESTS: dict[str, tuple[str, Callable[[Table, StudyDesign], float]]] = {
 
 def _terms(table: Table) -> Table:
     """Rows of conditions (not thresholds) of the cumulative link mixed model, Bonferroni-adjusted."""
-    made = cumulative_link(table, "rating ~ condition", random="participant")
+    made = cumulative_link(table, "rating ~ condition", random="participant", test="participants")
     made = made[~made["term"].str.contains("|", regex=False)].copy()
     made.loc[made["status"] == "boundary", "status"] = OK
     made["p"] = np.minimum(made["p"] * len(made), 1.0)

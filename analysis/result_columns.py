@@ -25,11 +25,13 @@ _TERM: Columns = (
     ("term", "term", "text"),
     ("estimate", "estimate", "f3"),
     ("se", "SE", "f3"),
+    ("ci_low", "95 % low", "f3"),
+    ("ci_high", "high", "f3"),
     ("df", "df", "f1"),
     ("t", "t", "f2"),
     ("z", "z", "f2"),
+    ("chi2", "χ²(1)", "f2"),
     ("p", "p", "p"),
-    ("p_lr", "p (likelihood ratio)", "p"),
     ("p_family", "p family", "p"),
 )  # fmt: skip
 

@@ -168,6 +168,15 @@ def test_cumulative_link_mixed_of_the_wine_data(reference: Reference) -> None:
     assert laplace.attrs["log_likelihood"] == pytest.approx(-81.57, abs=0.005)
 
 
+def test_profile_intervals_of_the_wine_data(reference: Reference) -> None:
+    right = reference.expected("g1_clm_wine")["profile_ci95"]
+    made = analysis.cumulative_link(reference.data("wine"), "rating ~ temp + contact", test="likelihood_ratio")
+    made = made.set_index("term")
+    for term, interval in right.items():
+        low, high = interval.values() if isinstance(interval, dict) else interval
+        assert tuple(made.loc[term, ["ci_low", "ci_high"]]) == pytest.approx((low, high), rel=1e-4)
+
+
 @pytest.mark.parametrize("name", ["SiRstv", "SmLs01", "SmLs07"])
 def test_oneway_anova_of_nist(reference: Reference, name: str) -> None:
     right = reference.expected("h1_nist_anova")[name]
