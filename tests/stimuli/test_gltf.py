@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import io
 import struct
 from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from stimuli import load_scene
 from stimuli.errors import InputError
 from stimuli.gltf_meshes import mend_normals, triangles_of
-from stimuli.scene import Part, Scene, scene_at
-from tests.stimuli.tiny_glb import TRIANGLE, TinyGlb
+from stimuli.scene import Part
+from tests.stimuli.tiny_glb import TRIANGLE, TinyGlb, textured
 
 
 def world_triangles(part: Part, pose: np.ndarray | None = None) -> np.ndarray:
@@ -101,121 +99,6 @@ def test_strips_and_fans_become_triangles_wound_alike_and_lines_are_said_to_be_l
     assert sum("are not drawn" in note for note in scene.notes) == 3
 
 
-def picture(color: tuple[int, ...], mode: str = "RGB") -> bytes:
-    data = io.BytesIO()
-    Image.new(mode, (2, 2), color).save(data, "PNG")
-    return data.getvalue()
-
-
-def textured(glb: TinyGlb, **material: object) -> None:
-    uv = glb.accessor([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
-    uv1 = glb.accessor([[0.5, 0.5], [0.25, 0.5], [0.5, 0.75]])
-    image = glb.view(picture((255, 128, 0)))
-    glb.json["images"] = [{"bufferView": image, "mimeType": "image/png"}]
-    glb.json["samplers"] = [{"magFilter": 9728, "minFilter": 9984, "wrapS": 33071, "wrapT": 33648}]
-    glb.json["textures"] = [{"source": 0, "sampler": 0}]
-    glb.json["materials"] = [material]
-    glb.node(mesh=glb.mesh(TRIANGLE, material=0, TEXCOORD_0=uv, TEXCOORD_1=uv1))
-
-
-def test_materials_textures_and_samplers_arrive(tmp_path: Path) -> None:
-    glb = TinyGlb()
-    textured(
-        glb,
-        name="wood",
-        pbrMetallicRoughness={
-            "baseColorFactor": [0.5, 0.6, 0.7, 0.8],
-            "metallicFactor": 0.25,
-            "roughnessFactor": 0.75,
-            "baseColorTexture": {"index": 0},
-        },
-        emissiveFactor=[0.1, 0.2, 0.3],
-        alphaMode="MASK",
-        alphaCutoff=0.3,
-        doubleSided=True,
-        extensions={
-            "KHR_materials_emissive_strength": {"emissiveStrength": 50.0},
-            "KHR_materials_ior": {"ior": 1.7},
-            "KHR_materials_transmission": {"transmissionFactor": 0.6},
-            "KHR_materials_unlit": {},
-        },
-    )
-    part = load_scene(glb.write(tmp_path)).static[0]
-    material, pbr = part.material, part.material.pbr
-    assert np.allclose(pbr.baseColorFactor, [0.5, 0.6, 0.7, 0.8])
-    assert (pbr.metallicFactor, pbr.roughnessFactor, pbr.alphaMode, pbr.alphaCutoff) == (0.25, 0.75, "MASK", 0.3)
-    assert np.allclose(pbr.emissiveFactor, [5.0, 10.0, 15.0])
-    assert (material.ior, material.transmission, material.unlit, pbr.doubleSided) == (1.7, 0.6, True, True)
-    texture = pbr.baseColorTexture
-    assert texture.source.shape == (2, 2, 4)
-    assert texture.source[0, 0].tolist() == [255, 128, 0, 255]
-    assert (texture.sampler.wrapS, texture.sampler.wrapT) == (33071, 33648)
-    assert (texture.sampler.magFilter, texture.sampler.minFilter) == (9728, 9984)
-    assert part.primitive.texcoord_0.tolist() == [[0, 0], [1, 0], [0, 1]]
-
-
-def test_second_coordinate_set_and_texture_transform_are_applied_to_the_vertices(tmp_path: Path) -> None:
-    glb = TinyGlb()
-    transform = {"offset": [0.5, 0.0], "rotation": np.pi / 2, "scale": [2.0, 4.0]}
-    use = {"index": 0, "texCoord": 1, "extensions": {"KHR_texture_transform": transform}}
-    textured(glb, pbrMetallicRoughness={"baseColorTexture": use})
-    uv = load_scene(glb.write(tmp_path)).static[0].primitive.texcoord_0
-    # Scale, then turn by 90 degrees as KHR_texture_transform's matrix does: (u, v) -> (v, -u), then shift.
-    source = np.array([[0.5, 0.5], [0.25, 0.5], [0.5, 0.75]]) * (2.0, 4.0)
-    assert np.allclose(uv, np.stack([source[:, 1] + 0.5, -source[:, 0]], axis=1), atol=1e-6)
-
-
-def test_a_texture_that_wants_other_coordinates_is_left_out_aloud(tmp_path: Path) -> None:
-    glb = TinyGlb()
-    textured(glb, pbrMetallicRoughness={"baseColorTexture": {"index": 0}}, emissiveTexture={"index": 0, "texCoord": 1})
-    scene = load_scene(glb.write(tmp_path))
-    assert scene.static[0].material.pbr.emissiveTexture is None
-    assert scene.static[0].material.pbr.baseColorTexture is not None
-    assert any("emissiveTexture left out" in note for note in scene.notes)
-
-
-def test_missing_and_broken_pictures_are_said_and_the_factor_stays(tmp_path: Path) -> None:
-    glb = TinyGlb()
-    textured(glb, pbrMetallicRoughness={"baseColorTexture": {"index": 0}, "baseColorFactor": [0.2, 0.3, 0.4, 1.0]})
-    glb.json["images"] = [{"uri": "gone.png"}]
-    scene = load_scene(glb.write(tmp_path))
-    assert scene.static[0].material.pbr.baseColorTexture is None
-    assert any("gone.png: no such file" in note for note in scene.notes)
-    glb.json["images"] = [{"bufferView": glb.view(b"not a picture")}]
-    scene = load_scene(glb.write(tmp_path))
-    assert any("image" in note and "without this texture" in note for note in scene.notes)
-
-
-def test_bart_phong_values_come_from_the_extras(tmp_path: Path) -> None:
-    glb = TinyGlb()
-    values = {
-        "amb": [0.1, 0.2, 0.3],
-        "dif": [0.4, 0.5, 0.6],
-        "spc": [0.7, 0.8, 0.9],
-        "shine": 20.0,
-        "T": 0.25,
-        "ior": 0.0,
-    }
-    textured(glb, extras={"aff_fm": values})
-    scene = load_scene(glb.write(tmp_path))
-    phong = scene.static[0].material.phong
-    assert phong is not None
-    assert (phong.ambient, phong.diffuse, phong.specular) == ((0.1, 0.2, 0.3), (0.4, 0.5, 0.6), (0.7, 0.8, 0.9))
-    assert (phong.shine, phong.transmission, phong.index) == (20.0, 0.25, 1.0)
-    assert scene.default_exposure == 1.0
-
-
-def test_vertex_colours_of_any_type_become_linear_rgba(tmp_path: Path) -> None:
-    glb = TinyGlb()
-    bytes3 = glb.accessor([[255, 0, 51]] * 3, "u1", normalized=True)
-    floats4 = glb.accessor([[0.5, 0.25, 0.125, 0.75]] * 3)
-    glb.node(mesh=glb.mesh(TRIANGLE, COLOR_0=bytes3))
-    glb.node(mesh=glb.mesh(TRIANGLE, COLOR_0=floats4))
-    first, second = load_scene(glb.write(tmp_path)).static
-    assert np.allclose(first.primitive.color_0, [[1.0, 0.0, 0.2, 1.0]] * 3)
-    assert np.allclose(second.primitive.color_0, [[0.5, 0.25, 0.125, 0.75]] * 3)
-
-
 def test_indices_beyond_float32_precision_stay_exact(tmp_path: Path) -> None:
     glb = TinyGlb()
     glb.node(mesh=glb.mesh(TRIANGLE))
@@ -223,42 +106,6 @@ def test_indices_beyond_float32_precision_stay_exact(tmp_path: Path) -> None:
     primitive.indices = np.array([[2**24 + 1, 2**24 + 2, 2**24 + 3]])
     assert primitive.indices.dtype == np.uint32
     assert primitive.indices.tolist() == [[2**24 + 1, 2**24 + 2, 2**24 + 3]]
-
-
-def test_morph_targets_are_applied_at_their_resting_weights(tmp_path: Path) -> None:
-    glb = TinyGlb()
-    mesh = glb.mesh(TRIANGLE)
-    glb.json["meshes"][mesh]["primitives"][0]["targets"] = [{"POSITION": glb.accessor([[0, 0, 2.0]] * 3)}]
-    glb.json["meshes"][mesh]["weights"] = [0.5]
-    glb.node(mesh=mesh)
-    glb.node(mesh=mesh, weights=[2.0])
-    first, second = load_scene(glb.write(tmp_path)).static
-    assert (first.positions[:, 2] == 1.0).all()
-    assert (second.positions[:, 2] == 4.0).all()
-
-
-def skinned(tmp_path: Path) -> Scene:
-    """A triangle bound half and half to two joints; the node's own matrix must not count."""
-    glb = TinyGlb()
-    joints = glb.accessor([[0, 1, 0, 0]] * 3, "u1")
-    weights = glb.accessor([[1, 0, 0, 0], [0, 1, 0, 0], [0.5, 0.5, 0, 0]])
-    mesh = glb.mesh(TRIANGLE, JOINTS_0=joints, WEIGHTS_0=weights, NORMAL=glb.accessor([[0, 0, 1.0]] * 3))
-    one = glb.node(translation=[0, 0, 1])
-    two = glb.node(translation=[0, 3, 0])
-    glb.node(mesh=mesh, skin=0, translation=[100, 100, 100])
-    bind = np.tile(np.eye(4), (2, 1, 1))
-    bind[1, :3, 3] = (0, -1, 0)
-    stored = glb.accessor(bind.transpose(0, 2, 1).reshape(2, 16))
-    glb.json["skins"] = [{"joints": [one, two], "inverseBindMatrices": stored}]
-    glb.animate(two, "translation", [0.0, 1.0], [[0, 3, 0], [0, 9, 0]])
-    return load_scene(glb.write(tmp_path))
-
-
-def test_skinned_meshes_are_posed_by_their_joints_and_said_to_be(tmp_path: Path) -> None:
-    scene = skinned(tmp_path)
-    assert any("skinned" in note for note in scene.notes)
-    posed = scene.static[0].positions if scene.static else scene.movers[0].parts[0].positions
-    assert np.allclose(posed, [[0, 0, 1], [1, 2, 0], [0, 2, 0.5]])
 
 
 def test_punctual_lights_take_place_and_direction_from_their_node(tmp_path: Path) -> None:
@@ -397,36 +244,6 @@ def test_a_file_with_any_byte_of_its_json_changed_loads_or_is_one_line_of_input_
     assert all(len(line.splitlines()) == 1 for line in lines)
 
 
-def test_skinned_vertices_follow_their_joints_over_time(tmp_path: Path) -> None:
-    scene = skinned(tmp_path)
-    assert scene_at(scene, 0.0).static[0].positions.tolist() == scene.static[0].positions.tolist()
-    bent = scene_at(scene, 0.5).static[0]
-    # The second joint has risen by 3 m: vertex 1 follows whole, vertex 2 by half.
-    assert np.allclose(bent.positions, [[0, 0, 1], [1, 5, 0], [0, 3.5, 0.5]])
-    assert np.allclose(bent.primitive.normals, [[0, 0, 1]] * 3)
-    assert np.allclose(scene.static[0].positions, [[0, 0, 1], [1, 2, 0], [0, 2, 0.5]])
-
-
-def test_a_skin_whose_joints_all_turn_alike_turns_its_normals_too(tmp_path: Path) -> None:
-    glb = TinyGlb()
-    mesh = glb.mesh(
-        TRIANGLE,
-        JOINTS_0=glb.accessor([[0, 0, 0, 0]] * 3, "u1"),
-        WEIGHTS_0=glb.accessor([[0.25, 0.25, 0.25, 0.25]] * 3),
-        NORMAL=glb.accessor([[0, 0.6, 0.8]] * 3),
-    )
-    joint = glb.node(scale=[1, 1, 4])
-    glb.node(mesh=mesh, skin=0)
-    glb.json["skins"] = [{"joints": [joint]}]
-    half = np.sin(np.pi / 4)
-    glb.animate(joint, "rotation", [0.0, 1.0], [[0, 0, 0, 1], [half, 0, 0, half]])
-    part = scene_at(load_scene(glb.write(tmp_path)), 1.0).static[0]
-    # Scaling z by 4 makes the normal (0, 0.6, 0.2); a quarter turn about x takes y to z and z to -y.
-    wanted = np.array([0, -0.2, 0.6]) / np.linalg.norm([0.2, 0.6])
-    assert np.allclose(part.primitive.normals, [wanted] * 3, atol=1e-6)
-    assert np.allclose(part.positions[2], (0, 0, 1))
-
-
 def test_draco_and_ktx2_that_are_used_but_not_required_are_refused_where_nothing_else_is_there(tmp_path: Path) -> None:
     glb = TinyGlb()
     glb.node(mesh=glb.mesh(TRIANGLE))
@@ -443,18 +260,6 @@ def test_draco_and_ktx2_that_are_used_but_not_required_are_refused_where_nothing
     glb.json["images"] = [{"bufferView": glb.view(b"\xabKTX 20\xbb\r\n\x1a\n")}]
     with pytest.raises(InputError, match="textures in KTX2"):
         load_scene(glb.write(tmp_path))
-
-
-def test_specular_glossiness_keeps_its_diffuse_colour_and_picture(tmp_path: Path) -> None:
-    glb = TinyGlb()
-    glossy = {"diffuseFactor": [0.1, 0.2, 0.3, 1.0], "glossinessFactor": 0.25, "diffuseTexture": {"index": 0}}
-    textured(glb, extensions={"KHR_materials_pbrSpecularGlossiness": glossy})
-    scene = load_scene(glb.write(tmp_path))
-    pbr = scene.static[0].material.pbr
-    assert np.allclose(pbr.baseColorFactor, [0.1, 0.2, 0.3, 1.0])
-    assert (pbr.metallicFactor, pbr.roughnessFactor) == (0.0, 0.75)
-    assert pbr.baseColorTexture is not None
-    assert any("specular-glossiness" in note for note in scene.notes)
 
 
 def test_instances_of_a_mesh_stand_where_their_accessors_say_and_mirrored_ones_are_turned(tmp_path: Path) -> None:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import copy
+import io
 import json
 import struct
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 CODES = {"i1": 5120, "u1": 5121, "i2": 5122, "u2": 5123, "u4": 5125, "f4": 5126}
 TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
@@ -104,3 +106,22 @@ class TinyGlb:
 
 
 TRIANGLE = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
+
+
+def picture(color: tuple[int, ...], mode: str = "RGB") -> bytes:
+    """The bytes of a 2x2 PNG of one colour."""
+    data = io.BytesIO()
+    Image.new(mode, (2, 2), color).save(data, "PNG")
+    return data.getvalue()
+
+
+def textured(glb: TinyGlb, **material: object) -> None:
+    """Add a textured triangle with two sets of coordinates and one material."""
+    uv = glb.accessor([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    uv1 = glb.accessor([[0.5, 0.5], [0.25, 0.5], [0.5, 0.75]])
+    image = glb.view(picture((255, 128, 0)))
+    glb.json["images"] = [{"bufferView": image, "mimeType": "image/png"}]
+    glb.json["samplers"] = [{"magFilter": 9728, "minFilter": 9984, "wrapS": 33071, "wrapT": 33648}]
+    glb.json["textures"] = [{"source": 0, "sampler": 0}]
+    glb.json["materials"] = [material]
+    glb.node(mesh=glb.mesh(TRIANGLE, material=0, TEXCOORD_0=uv, TEXCOORD_1=uv1))
