@@ -6,14 +6,14 @@ import math
 
 from renderers.adaptive_frameless import buffers as c
 from renderers.adaptive_frameless.buffers import Buffers, Settings
-from renderers.adaptive_frameless.compiled import compiled, inlined
+from renderers.adaptive_frameless.compiled import inlined, uncounted
 from renderers.adaptive_frameless.tiling import can_split, find_errors, merge, move_epoch, split, sum_errors
 
 ERRORS_EVERY = 16
 """Chunks between two sums of all tiles' errors, which normalise them; more where there are many tiles to sum."""
 
 
-@compiled
+@uncounted
 def wanted_tiles(b: Buffers, s: Settings, now_s: float) -> int:
     """The number of tiles at which dC/ds * S = i * dC/dt * T (section 4.1): S the tiles' width, T the mean age."""
     total = b.total
@@ -29,7 +29,7 @@ def wanted_tiles(b: Buffers, s: Settings, now_s: float) -> int:
     return int(min(max(tiles, s.least_tiles), s.most_tiles))
 
 
-@compiled
+@uncounted
 def worst_tile(b: Buffers, s: Settings) -> int:
     """The tile of largest error that can be split, -1 where none can."""
     best, found, tiles = -1.0, -1, b.number[c.LEAVES]
@@ -53,7 +53,7 @@ def summed_error(b: Buffers, node: int) -> float:
     return b.error[b.node_i[n[c.LEFT], c.PLACE]] + b.error[b.node_i[n[c.RIGHT], c.PLACE]]
 
 
-@compiled
+@uncounted
 def calmest_pair(b: Buffers) -> int:
     """The parent of the two tiles with the least summed error, -1 where no two tiles have one parent."""
     best, found, pairs = math.inf, -1, b.number[c.PAIRS]
@@ -73,7 +73,7 @@ def calmest_pair(b: Buffers) -> int:
     return found
 
 
-@compiled
+@uncounted
 def adjust(b: Buffers, s: Settings, now_s: float) -> None:
     """After a chunk: move towards the wanted number of tiles, and split the worst and merge the calmest pair."""
     move_epoch(b, s, now_s)

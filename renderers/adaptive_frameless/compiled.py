@@ -6,13 +6,14 @@ from pathlib import Path
 
 from numba import njit
 
-compiled = njit(cache=True, _nrt=False)
+uncounted = njit(cache=True, _nrt=False)
 """Without numba's reference counts: code that is handed 27 arrays and takes views of them spent half its time on them
 (19.7 instead of 9.5 ms a refresh at 400k samples/s). Such code cannot allocate: numba then refuses to compile it."""
 inlined = njit(cache=True, forceinline=True, _nrt=False)
 """The same, for what is small and called often."""
 SOURCES = (
-    "balance", "buffers", "crosshair", "deep_buffer", "rays", "reconstructor", "sampler", "splats", "tiling", "visits",
+    "balance", "buffers", "compiled", "crosshair", "deep_buffer", "rays", "reconstructor", "sampler", "splats",
+    "tiling", "visits",
 )  # fmt: skip
 """The modules whose code or constants are compiled."""
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from renderers.adaptive_frameless import buffers as c
 from renderers.adaptive_frameless.buffers import Buffers, Settings
-from renderers.adaptive_frameless.compiled import compiled, inlined
+from renderers.adaptive_frameless.compiled import inlined, uncounted
 from renderers.adaptive_frameless.tiling import add_entry
 
 
@@ -58,7 +58,7 @@ def make_room(b: Buffers, s: Settings, pixel: int) -> None:
         remove(b, s, b.queue[pixel, s.depth - 1])
 
 
-@compiled
+@uncounted
 def push_front(b: Buffers, s: Settings, entry: int, pixel: int) -> None:
     """Put a new crosshair before the others of ``pixel``; a full queue loses its last. Call `make_room` first where
     ``entry`` itself is yet to be made."""
@@ -72,7 +72,7 @@ def push_front(b: Buffers, s: Settings, entry: int, pixel: int) -> None:
     add_entry(b, s, entry, 1.0)
 
 
-@compiled
+@uncounted
 def push_back(b: Buffers, s: Settings, entry: int, pixel: int) -> None:
     """Put a moved crosshair behind the others of ``pixel``. Of a full queue's last and it, the older one is dropped."""
     count = b.fill[pixel]

@@ -13,7 +13,7 @@ from renderers.adaptive_frameless import buffers as c
 from renderers.adaptive_frameless import rays
 from renderers.adaptive_frameless.balance import adjust
 from renderers.adaptive_frameless.buffers import Buffers, Settings, make_buffers
-from renderers.adaptive_frameless.compiled import compiled
+from renderers.adaptive_frameless.compiled import uncounted
 from renderers.adaptive_frameless.crosshair import ARMS, display_luma, spatial_gradients
 from renderers.adaptive_frameless.deep_buffer import new_entry, push_front, put_in_stream
 from renderers.adaptive_frameless.tiling import even_tiling, sum_errors
@@ -32,7 +32,7 @@ class Chunk(NamedTuple):
     job_i: np.ndarray
 
 
-@compiled
+@uncounted
 def _first_fill(b: Buffers, s: Settings, time_s: float, found: np.ndarray) -> None:
     """One crosshair a pixel from a grid of samples (W * H, scanline order); at an edge an arm is the pixel itself."""
     for y in range(s.height):
@@ -59,7 +59,7 @@ def _first_fill(b: Buffers, s: Settings, time_s: float, found: np.ndarray) -> No
     sum_errors(b, s)
 
 
-@compiled
+@uncounted
 def _turn(
     b: Buffers, s: Settings, p: Poses, done: Chunk, found: np.ndarray, totals: np.ndarray, following: Chunk,
     chance: np.ndarray,

@@ -13,7 +13,7 @@ import numpy as np
 
 from renderers.adaptive_frameless import buffers as c
 from renderers.adaptive_frameless.buffers import Buffers, Settings
-from renderers.adaptive_frameless.compiled import compiled, inlined
+from renderers.adaptive_frameless.compiled import inlined, uncounted
 
 EPOCH_S = 2.0
 """How often the common epoch of the weights moves: weights then span a factor of a thousand at most."""
@@ -63,7 +63,7 @@ def _add_to(b: Buffers, s: Settings, node: int, entry: int, sign: float, everywh
             b.total[c.GGT] += weight * e[c.GT]
 
 
-@compiled
+@uncounted
 def sum_tile(b: Buffers, s: Settings, node: int) -> None:
     """Sum a tile's block of the deep buffer anew."""
     b.node_f[node] = 0.0
@@ -75,7 +75,7 @@ def sum_tile(b: Buffers, s: Settings, node: int) -> None:
                 _add_to(b, s, node, b.queue[pixel, k], 1.0, False)
 
 
-@compiled
+@uncounted
 def move_epoch(b: Buffers, s: Settings, now_s: float) -> None:
     """Bring the weights' epoch to ``now_s`` if it is far behind; the picture's sums are added up anew."""
     passed = now_s - b.total[c.EPOCH]
@@ -153,7 +153,7 @@ def _find_error(b: Buffers, s: Settings, node: int) -> None:
         b.pair_stale[b.pair_place[parent] // c.BLOCK] = True
 
 
-@compiled
+@uncounted
 def find_errors(b: Buffers, s: Settings) -> None:
     """Find the errors of the tiles whose sums have changed: once after a chunk, however many changes there were."""
     for k in range(b.number[c.TOUCHED]):
@@ -164,7 +164,7 @@ def find_errors(b: Buffers, s: Settings) -> None:
     b.number[c.TOUCHED] = 0
 
 
-@compiled
+@uncounted
 def sum_errors(b: Buffers, s: Settings) -> None:
     """Sum the three terms over all tiles, and refresh every tile's error."""
     v, u, o = 0.0, 0.0, 0.0
@@ -177,14 +177,14 @@ def sum_errors(b: Buffers, s: Settings) -> None:
     b.leaf_stale[:], b.pair_stale[:] = True, True
 
 
-@compiled
+@uncounted
 def _own(b: Buffers, s: Settings, node: int) -> None:
     n = b.node_i[node]
     for y in range(n[c.Y0], n[c.Y1]):
         b.leaf_of[y * s.width + n[c.X0] : y * s.width + n[c.X1]] = node
 
 
-@compiled
+@uncounted
 def _drop_pair(b: Buffers, node: int) -> None:
     place = b.pair_place[node]
     if place >= 0:
@@ -195,7 +195,7 @@ def _drop_pair(b: Buffers, node: int) -> None:
         b.pair_stale[place // c.BLOCK] = b.pair_stale[b.number[c.PAIRS] // c.BLOCK] = True
 
 
-@compiled
+@uncounted
 def _add_pair(b: Buffers, node: int) -> None:
     place = b.number[c.PAIRS]
     b.pairs[place], b.pair_place[node] = node, place
@@ -212,7 +212,7 @@ def can_split(b: Buffers, s: Settings, node: int) -> bool:
     return max(wide, high) >= 2 and small >= s.least_tile_px
 
 
-@compiled
+@uncounted
 def split(b: Buffers, s: Settings, node: int) -> None:
     """Halve a tile across its longer side."""
     n = b.node_i[node]
@@ -251,7 +251,7 @@ def split(b: Buffers, s: Settings, node: int) -> None:
     _add_pair(b, node)
 
 
-@compiled
+@uncounted
 def merge(b: Buffers, s: Settings, node: int) -> None:
     """Make the two leaves under ``node`` one tile."""
     n = b.node_i[node]
@@ -294,7 +294,7 @@ def even_tiling(b: Buffers, s: Settings) -> None:
     _even(b, s)
 
 
-@compiled
+@uncounted
 def _even(b: Buffers, s: Settings) -> None:
     while b.number[c.LEAVES] < s.least_tiles:
         largest, found = 0, -1

@@ -13,7 +13,7 @@ import numpy as np
 from renderers.adaptive_frameless import buffers as c
 from renderers.adaptive_frameless import rays
 from renderers.adaptive_frameless.buffers import Buffers, Settings
-from renderers.adaptive_frameless.compiled import compiled, inlined
+from renderers.adaptive_frameless.compiled import inlined, uncounted
 from renderers.adaptive_frameless.crosshair import (
     ARMS,
     blended,
@@ -60,7 +60,7 @@ def _world(p: Poses, mover: int, x: float, y: float, z: float, time_s: float, po
     return moved(pose, x, y, z)
 
 
-@compiled
+@uncounted
 def plan(
     b: Buffers, s: Settings, p: Poses, times_s: np.ndarray, chance: np.ndarray, rows: np.ndarray, job_f: np.ndarray,
     job_i: np.ndarray,
@@ -150,7 +150,7 @@ def hit(found: np.ndarray, sample: int) -> tuple:
     return f[rays.LOCAL_X], f[rays.LOCAL_Y], f[rays.LOCAL_Z], int(f[rays.MOVER])
 
 
-@compiled
+@uncounted
 def take_in(
     b: Buffers, s: Settings, p: Poses, begin: int, end: int, times_s: np.ndarray, rows: np.ndarray, found: np.ndarray,
     job_f: np.ndarray, job_i: np.ndarray,
@@ -175,7 +175,7 @@ def take_in(
     return asked
 
 
-@compiled
+@uncounted
 def _complete(b: Buffers, s: Settings, found: np.ndarray, first: int, job: np.ndarray, time_s: float) -> None:
     """A finished crosshair into the front of its pixel's queue."""
     px = min(max(int(job[JX]), 0), s.width - 1)
@@ -199,7 +199,7 @@ def _complete(b: Buffers, s: Settings, found: np.ndarray, first: int, job: np.nd
     push_front(b, s, entry, py * s.width + px)
 
 
-@compiled
+@uncounted
 def _begin(b: Buffers, s: Settings, found: np.ndarray, sample: int, job: np.ndarray, time_s: float) -> None:
     """The initiating sample waits in its tile for the next visit."""
     px = min(max(int(job[JNEW_X]), 0), s.width - 1)
@@ -212,7 +212,7 @@ def _begin(b: Buffers, s: Settings, found: np.ndarray, sample: int, job: np.ndar
     begun[c.PPOINT], begun[c.PPOINT + 1], begun[c.PPOINT + 2], begun[c.PMOVER] = x, y, z, mover
 
 
-@compiled
+@uncounted
 def _reproject(
     b: Buffers, s: Settings, p: Poses, time_s: float, found: np.ndarray, visit: int, job_i: np.ndarray
 ) -> int:

@@ -7,9 +7,11 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
+from renderers.adaptive_frameless import buffers as c
 from renderers.adaptive_frameless.overlay import tile_borders
 from renderers.adaptive_frameless.technique import AdaptiveFrameless
 from renderers.adaptive_frameless.traditional import TraditionalFrameless
+from renderers.backend import dr
 from renderers.clip_frames import view_at
 from renderers.engine import Engine
 from renderers.parameters import AdaptiveFrameless as Adaptive
@@ -177,3 +179,34 @@ def test_long_runs_neither_grow_nor_record_again(still: Engine) -> None:
     assert len(set(sizes)) == 1
     assert recordings[-1] <= recordings[5] + 1
     assert recordings[-1] <= 4
+
+
+@pytest.mark.parametrize(
+    ("rate", "visits"),
+    [(60_000.0, [100, 66]), (9000.0, [25]), (12_000.0, [25, 8]), (30_000.0, [50, 33]), (100.0, [])],
+)
+def test_a_refresh_is_traced_in_two_launches_and_the_tiling_adjusted_after_each_chunk(
+    still: Engine, rate: float, visits: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = AdaptiveFrameless(still, SIZE, Adaptive(samples_per_s=rate), 0, "total")
+    first, second = views(still, 2)
+    made.render(first)
+    launched, trace = [], made._rays.trace
+    monkeypatch.setattr(made._rays, "trace", lambda *told: launched.append(len(told[1]) // 6) or trace(*told))
+    made.render(second)
+    assert launched == visits
+    assert made.sampler.buffers.number[c.CHUNKS] == sum(-(-count // 25) for count in visits)
+
+
+def test_pictures_are_the_same_to_the_byte_on_any_number_of_threads() -> None:
+    camera = SlidingCamera(velocity_for((1.5, 0.5), 2.0, SIZE[1], 60.0))
+    engine = Engine(wall(camera=camera))
+    before, pictures = dr.thread_count(), []
+    try:
+        for threads in (1, 2, 3):
+            dr.set_thread_count(threads)
+            pictures.append(run(engine, 8, samples_per_s=60_000.0)[1])
+    finally:
+        dr.set_thread_count(before)
+    np.testing.assert_array_equal(pictures[0], pictures[1])
+    np.testing.assert_array_equal(pictures[0], pictures[2])

@@ -1,0 +1,67 @@
+"""The frameless kernel: lanes in whatever order, one picture."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from renderers.adaptive_frameless.rays import CELL_PX, IN, OUT, PACKET, FramelessRays, coherent_order
+from renderers.clip_frames import view_at
+from renderers.engine import Engine
+from tests.renderers.scenes import SlidingCamera, noise_pixels, quad, scene_of, unlit
+
+
+def rows_at(count: int, size_px: tuple[int, int] = (256, 256), seed: int = 0) -> np.ndarray:
+    rows = np.zeros((count, IN), np.float32)
+    rows[:, :2] = np.random.default_rng(seed).uniform(-1.0, np.add(size_px, 1.0), (count, 2))
+    return rows
+
+
+def ordered(rows: np.ndarray) -> np.ndarray:
+    order = np.full(len(rows), 1 << 30, np.uint32)
+    coherent_order(rows, order)
+    return order
+
+
+@pytest.mark.parametrize("count", [1, 2, 15, 16, 17, 31, 32, 33, 48, 150, 1000, 6666])
+def test_every_row_has_one_lane(count: int) -> None:
+    np.testing.assert_array_equal(np.sort(ordered(rows_at(count))), np.arange(count))
+
+
+def test_a_packet_of_lanes_sees_one_part_of_the_picture() -> None:
+    rows = rows_at(6666)
+    packets = ordered(rows)[: 6666 // PACKET * PACKET].reshape(-1, PACKET)
+    spread = np.ptp(rows[packets, 1], axis=1)
+    # 6.5 samples a cell: a packet is a run of three cells of one row of cells, or goes on in the next
+    assert np.median(spread) <= CELL_PX
+    assert np.median(np.ptp(rows[np.arange(len(packets) * PACKET).reshape(-1, PACKET), 1], axis=1)) > 10 * CELL_PX
+
+
+def test_neighbouring_packets_are_dealt_out() -> None:
+    rows = rows_at(6400)
+    rows[:, 1] = np.arange(6400) // 25  # costs that rise down the picture
+    packets = ordered(rows).reshape(-1, PACKET)
+    means = [float(rows[run, 1].mean()) for run in np.array_split(packets, 8)]
+    assert np.ptp(means) < 0.2 * 256
+
+
+def test_the_order_of_lanes_changes_no_result(monkeypatch: pytest.MonkeyPatch) -> None:
+    blocks = quad((-48, -48, -2), (96, 0, 0), (0, 96, 0), unlit(noise_pixels(3, block=2)), repeats=16.0)
+    engine = Engine(scene_of(blocks, camera=SlidingCamera((3.0, 1.0, 0.0))))
+    view = view_at(1, Fraction(60), Fraction(1), (32, 24), engine.scene.camera)
+    rows = rows_at(500, (32, 24))
+    rows[:, 2] = -np.linspace(1 / 60, 0, 500)
+    rows[::3, 3:8] = 0.1, 0.2, -0.5, -0.01, 1.0
+    found = []
+
+    def backwards(rows: np.ndarray, order: np.ndarray) -> None:
+        order[:] = np.arange(len(rows))[::-1]
+
+    for order in (coherent_order, backwards):
+        monkeypatch.setattr("renderers.adaptive_frameless.rays.coherent_order", order)
+        found.append(FramelessRays(engine).trace(engine.state(view, (32, 24)), rows, 7).copy())
+    assert found[0].shape == (500, OUT)
+    assert np.ptp(found[0][:, 0]) > 0.1
+    np.testing.assert_array_equal(found[0], found[1])
