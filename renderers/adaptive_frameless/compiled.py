@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from numba import njit
 
-uncounted = njit(cache=True, _nrt=False)
+_njit: Any = njit  # its stubs do not know _nrt
+
+uncounted: Any = _njit(cache=True, _nrt=False)
 """Without numba's reference counts: code that is handed 27 arrays and takes views of them spent half its time on them
 (19.7 instead of 9.5 ms a refresh at 400k samples/s). Such code cannot allocate: numba then refuses to compile it."""
-inlined = njit(cache=True, forceinline=True, _nrt=False)
+inlined: Any = _njit(cache=True, forceinline=True, _nrt=False)
 """The same, for what is small and called often."""
 SOURCES = (
     "balance", "buffers", "compiled", "crosshair", "deep_buffer", "rays", "reconstructor", "sampler", "splats",
