@@ -6,7 +6,7 @@ This is all that `protocols` sees of `renderers`: nothing here imports drjit, mi
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import import_module
 
 import numpy as np
@@ -21,9 +21,11 @@ from stimuli.errors import InputError, problem
 class Entry:
     """One technique as protocols, the command line and the tradeoff search see it.
 
-    ``knobs`` name the parameters that trade speed for accuracy, with the values a sweep tries. ``gaze_contingent``
+    ``knobs`` name the parameters that trade speed for accuracy, with the values a sweep tries; ``operating_point`` is
+    where the technique's paper used it, as far as that is not its parameters' defaults. ``gaze_contingent``
     techniques may not stand side by side. ``framed``: full frames at any content rate. ``stateless``: a frame follows
-    from its view alone, so a clip may be divided among workers. ``averages``: frames are means of ``spp`` samples.
+    from its view alone, so a clip may be divided among workers; ``probes_remember``: and so it does where there are no
+    light probes. ``averages``: frames are means of ``spp`` samples.
     ``counts_samples``: its frames say how often each pixel was sampled.
     ``own_times``: each sample has a time of its own, so meshes that change their shape are refused.
     ``density``: module of ``picture_probability``, how likely each pixel is traced in a frame; ``density_params``: the
@@ -36,10 +38,12 @@ class Entry:
     module: str
     class_name: str
     knobs: Mapping[str, tuple[object, ...]]
+    operating_point: Mapping[str, object] = field(default_factory=dict)
     gaze_contingent: bool = False
     framed: bool = False
     baseline: bool = False
     stateless: bool = False
+    probes_remember: bool = False
     averages: bool = False
     counts_samples: bool = False
     own_times: bool = False
@@ -47,6 +51,10 @@ class Entry:
     density_params: tuple[str, ...] = ()
     headset: bool = False
 
+
+_BUDGETS = (1e5, 4e5, 8e5, 1.6e6, 3.2e6, 6.4e6)
+_DAYAL_2005 = {"samples_per_s": 4e5}
+"""The middle budget of Table 1 in Dayal et al. 2005, the only one that all its methods and animations have."""
 
 _ENTRIES: tuple[Entry, ...] = (
     Entry(
@@ -122,7 +130,8 @@ _ENTRIES: tuple[Entry, ...] = (
         params=p.FramedLowResolution,
         module="renderers.framed",
         class_name="FramedLowResolution",
-        knobs={"samples_per_s": (1e5, 4e5, 8e5, 1.6e6, 3.2e6, 6.4e6)},
+        knobs={"samples_per_s": _BUDGETS},
+        operating_point=_DAYAL_2005,
         baseline=True,
         stateless=True,
     ),
@@ -132,7 +141,8 @@ _ENTRIES: tuple[Entry, ...] = (
         params=p.FramedLowRate,
         module="renderers.framed",
         class_name="FramedLowRate",
-        knobs={"samples_per_s": (1e5, 4e5, 8e5, 1.6e6, 3.2e6, 6.4e6)},
+        knobs={"samples_per_s": _BUDGETS},
+        operating_point=_DAYAL_2005,
         baseline=True,
         counts_samples=True,
     ),
@@ -143,10 +153,11 @@ _ENTRIES: tuple[Entry, ...] = (
         module="renderers.adaptive_frameless.technique",
         class_name="AdaptiveFrameless",
         knobs={
-            "samples_per_s": (1e5, 4e5, 8e5, 1.6e6, 3.2e6, 6.4e6),
+            "samples_per_s": _BUDGETS,
             "filter_volume": (2.0, 4.0, 8.0),
             "reprojected": (0, 5),
         },
+        operating_point=_DAYAL_2005,
         own_times=True,
     ),
     Entry(
@@ -155,7 +166,8 @@ _ENTRIES: tuple[Entry, ...] = (
         params=p.TraditionalFrameless,
         module="renderers.adaptive_frameless.traditional",
         class_name="TraditionalFrameless",
-        knobs={"samples_per_s": (1e5, 4e5, 8e5, 1.6e6, 3.2e6, 6.4e6)},
+        knobs={"samples_per_s": _BUDGETS},
+        operating_point=_DAYAL_2005,
         baseline=True,
         own_times=True,
     ),
@@ -167,6 +179,7 @@ _ENTRIES: tuple[Entry, ...] = (
         class_name="Polar",
         knobs={"mapping": ("acuity", "equal_density"), "width": (32, 64, 128, 256, 512), "quality": (1, 64, 256)},
         gaze_contingent=True,
+        probes_remember=True,
         headset=True,
     ),
 )

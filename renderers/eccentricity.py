@@ -95,6 +95,16 @@ def picture_eccentricity_deg(plane: EyePlane, size_px: tuple[int, int]) -> np.nd
     return eccentricity_deg(plane, np.arange(size_px[0]) + 0.5, np.arange(size_px[1])[:, None] + 0.5)
 
 
+def gaze_point_px(plane: EyePlane) -> tuple[float, float]:
+    """The picture point (x, y) in pixels that the gaze meets; it may lie outside. Raises InputError where the gaze
+    never meets the picture's plane."""
+    gaze, corner = np.asarray(plane.gaze), np.asarray(plane.corner)
+    if gaze[2] >= 0:
+        raise InputError(problem("gaze", "direction", tuple(gaze.round(3)), "one that meets the picture's plane"))
+    point = gaze * (corner[2] / gaze[2]) - corner
+    return float(point[0] / plane.step_x[0]), float(point[1] / plane.step_y[1])
+
+
 def gaze_at(plane_point: tuple[float, float], geometry: ViewGeometry | None) -> Gaze:
     """The gaze (degrees from the panel's centre) that looks at a point of the picture's plane.
 

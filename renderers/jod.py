@@ -1,7 +1,8 @@
-"""Quality in just-objectionable differences by ColorVideoVDP (Mantiuk et al. 2024), an optional extra.
+"""Quality in just-objectionable differences by ColorVideoVDP (Mantiuk et al. 2024) and, for an eye that looks at one
+place, FovVideoVDP (Mantiuk et al. 2021): optional extras.
 
-10 JOD: no visible difference; 1 JOD less: 75 % of observers would choose the other. Needs the package ``cvvdp`` (with
-PyTorch), which is not among our requirements.
+10 JOD: no visible difference; 1 JOD less: 75 % of observers would choose the other. Need the packages ``cvvdp`` and
+``pyfvvdp`` (with PyTorch; the second is for research only, CC BY-NC), which are not among our requirements.
 """
 
 from __future__ import annotations
@@ -19,10 +20,14 @@ from stimuli.errors import InputError, problem
 _METRE_PER_INCH = 0.0254
 
 
-def require_jod() -> None:
-    """Raise InputError, saying what to install, where ColorVideoVDP is not there."""
-    if importlib.util.find_spec("pycvvdp") is None:
-        raise InputError(problem("--jod", "ColorVideoVDP", "not installed", "`pip install cvvdp` (it brings PyTorch)"))
+_EXTRAS = {"--jod": ("pycvvdp", "cvvdp", "ColorVideoVDP"), "--jod-gaze": ("pyfvvdp", "pyfvvdp", "FovVideoVDP")}
+
+
+def require_jod(option: str = "--jod") -> None:
+    """Raise InputError, saying what to install, where the metric of ``option`` (--jod | --jod-gaze) is not there."""
+    module, package, metric = _EXTRAS[option]
+    if importlib.util.find_spec(module) is None:
+        raise InputError(problem(option, metric, "not installed", f"`pip install {package}` (it brings PyTorch)"))
 
 
 def diagonal_inches(size_px: tuple[int, int], ppd: float, distance_m: float = 1.0) -> float:
@@ -47,6 +52,32 @@ class JodMetric:
 
     def of(self, test: np.ndarray, reference: np.ndarray, rate_hz: Fraction) -> float:
         """JOD of display values (n, H, W, 3) in [0, 1] at ``rate_hz``, both as 8-bit codes."""
-        codes = [np.rint(np.clip(values, 0, 1) * 255).astype(np.uint8) for values in (test, reference)]
-        quality, _ = self._metric.predict(*codes, dim_order="FHWC", frames_per_second=float(rate_hz))
+        quality, _ = self._metric.predict(*_codes(test, reference), dim_order="FHWC", frames_per_second=float(rate_hz))
         return float(quality)
+
+
+class GazeJodMetric:
+    """FovVideoVDP for pictures of one size, looked at in one place: ``gaze_px`` (x, y) from the top left, pixel centres
+    at .5; it may lie outside the picture. Raises InputError where the package is not installed."""
+
+    def __init__(self, size_px: tuple[int, int], ppd: float, gaze_px: tuple[float, float]) -> None:
+        require_jod("--jod-gaze")
+        package: Any = importlib.import_module("pyfvvdp")
+        geometry = package.fvvdp_display_geometry(
+            size_px, distance_m=1.0, diagonal_size_inches=diagonal_inches(size_px, ppd)
+        )
+        self._metric = package.fvvdp(
+            display_name="standard_4k", display_geometry=geometry, foveated=True, heatmap=None, quiet=True
+        )
+        self._fixation = np.array(gaze_px, np.float64) - 0.5  # it counts from the first pixel's centre
+
+    def of(self, test: np.ndarray, reference: np.ndarray, rate_hz: Fraction) -> float:
+        """JOD of display values (n, H, W, 3) in [0, 1] at ``rate_hz``, both as 8-bit codes."""
+        quality, _ = self._metric.predict(
+            *_codes(test, reference), dim_order="FHWC", frames_per_second=float(rate_hz), fixation_point=self._fixation
+        )
+        return float(quality)
+
+
+def _codes(*values: np.ndarray) -> list[np.ndarray]:
+    return [np.rint(np.clip(value, 0, 1) * 255).astype(np.uint8) for value in values]

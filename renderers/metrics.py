@@ -12,9 +12,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
+import numba
 import numpy as np
-from scipy.ndimage import map_coordinates
 
+from renderers.acuity import GazeError
 from renderers.technique import ViewGeometry
 
 INTEGRATED_REFRESHES = 4
@@ -22,7 +23,8 @@ INTEGRATED_REFRESHES = 4
 
 @dataclass(frozen=True)
 class SequenceError:
-    """Errors of one sequence. RMSE and flicker are in display values (x 255 for codes); FLIP in [0, 1]; PSNR in dB."""
+    """Errors of one sequence. RMSE and flicker are in display values (x 255 for codes); FLIP in [0, 1]; PSNR in dB;
+    ``rmse_gaze``: of both eyes, as far as the eye resolves it (None where no gaze was given)."""
 
     refreshes: int
     rmse: float
@@ -33,6 +35,7 @@ class SequenceError:
     flip_tracking: float
     flicker: float
     rmse_by_refresh: tuple[float, ...]
+    rmse_gaze: float | None = None
 
 
 def rmse(test: np.ndarray, reference: np.ndarray) -> float:
@@ -85,14 +88,33 @@ def flicker(errors: np.ndarray) -> float:
     if len(errors) < 3:
         return 0.0
     second = (errors[:-2] - 2 * errors[1:-1] + errors[2:]) / 4
-    return float(np.sqrt(np.mean(second.astype(np.float64) ** 2)))
+    return float(np.sqrt(np.mean(second * second, dtype=np.float64)))
 
 
-def _sample(picture: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Bilinear, clamped to the edge; x, y in array indices."""
-    return np.stack(
-        [map_coordinates(picture[..., c], (y, x), order=1, mode="nearest") for c in range(picture.shape[2])], 2
-    )
+@numba.njit(cache=True, nogil=True)
+def _followed(pictures, motion, total):  # pragma: no cover  (compiled)
+    """Add to ``total`` (H, W, 3) every picture but the last along the motion that ends at each pixel of the last."""
+    n, height, width = pictures.shape[0], pictures.shape[1], pictures.shape[2]
+    for row in range(height):
+        for column in range(width):
+            x, y = float(column), float(row)
+            for k in range(n - 1, 0, -1):
+                # bilinear, clamped to the edge: first the motion here, then the picture there
+                for fetched in range(2):
+                    cx, cy = min(max(x, 0.0), width - 1.0), min(max(y, 0.0), height - 1.0)
+                    x0, y0 = int(cx), int(cy)
+                    x1, y1 = min(x0 + 1, width - 1), min(y0 + 1, height - 1)
+                    fx, fy = cx - x0, cy - y0
+                    a, b, c, d = (1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy
+                    if fetched == 0:
+                        m = motion[k]
+                        x -= a * m[y0, x0, 0] + b * m[y0, x1, 0] + c * m[y1, x0, 0] + d * m[y1, x1, 0]
+                        y -= a * m[y0, x0, 1] + b * m[y0, x1, 1] + c * m[y1, x0, 1] + d * m[y1, x1, 1]
+                    else:
+                        p = pictures[k - 1]
+                        for j in range(total.shape[2]):
+                            seen = a * p[y0, x0, j] + b * p[y0, x1, j] + c * p[y1, x0, j] + d * p[y1, x1, j]
+                            total[row, column, j] += seen
 
 
 def tracked_mean(pictures: np.ndarray, motion: np.ndarray) -> np.ndarray:
@@ -102,14 +124,94 @@ def tracked_mean(pictures: np.ndarray, motion: np.ndarray) -> np.ndarray:
         pictures: (n, H, W, 3).
         motion: (n, H, W, 2) pixels a refresh, x right and y down, now - before; entry 0 is not used.
     """
-    n, height, width, _ = pictures.shape
-    y, x = np.mgrid[0:height, 0:width].astype(np.float64)
-    total = pictures[-1].astype(np.float64)
-    for k in range(n - 1, 0, -1):
-        step = _sample(motion[k].astype(np.float64), x, y)
-        x, y = x - step[..., 0], y - step[..., 1]
-        total = total + _sample(pictures[k - 1].astype(np.float64), x, y)
-    return total / n
+    total = np.array(pictures[-1], np.float64)
+    _followed(np.ascontiguousarray(pictures, np.float32), np.ascontiguousarray(motion, np.float32), total)
+    return total / len(pictures)
+
+
+@dataclass(frozen=True)
+class _Window:
+    """Four refreshes as one eye sees them: which, the reference's mean, and whether FLIP is taken."""
+
+    refreshes: slice
+    eye: str
+    wanted: np.ndarray
+    flip: bool
+
+
+class Comparison:
+    """The reference's half of every comparison with one sequence, made once for all that is compared with it.
+
+    Args:
+        reference: display-referred refreshes (n, H, W, 3).
+        motion: the reference's, (n, H, W, 2).
+        ppd: pixels per degree, for FLIP.
+        flip_windows: windows of four refreshes are integrated; RMSE uses all of them, FLIP (and the gaze's RMSE) so
+            many, evenly spread.
+        gaze: what the eye resolves of an error, for ``rmse_gaze``.
+
+    Raises ValueError where the lengths differ or nothing is there.
+    """
+
+    def __init__(
+        self,
+        reference: Sequence[np.ndarray] | np.ndarray,
+        motion: Sequence[np.ndarray] | np.ndarray,
+        ppd: float,
+        flip_windows: int = 4,
+        gaze: GazeError | None = None,
+    ) -> None:
+        n = len(reference)
+        if n == 0 or len(motion) != n:
+            raise ValueError(f"sequences of {n} refreshes and {len(motion)} motions cannot be compared")
+        self._reference, self._motion = np.asarray(reference, np.float32), np.asarray(motion, np.float32)
+        self._ppd, self._gaze = ppd, gaze
+        length = min(INTEGRATED_REFRESHES, n)
+        starts = list(range(0, n - length + 1, length))
+        chosen = np.linspace(0, len(starts) - 1, min(flip_windows, len(starts))).round().astype(int)
+        shown = {starts[i] for i in chosen}
+        self._windows = [
+            _Window(refreshes, eye, self._seen(self._reference, refreshes, eye), refreshes.start in shown)
+            for refreshes in (slice(start, start + length) for start in starts)
+            for eye in ("still", "tracking")
+        ]
+
+    def _seen(self, pictures: np.ndarray, refreshes: slice, eye: str) -> np.ndarray:
+        """What an eye integrates."""
+        if eye == "still":
+            return pictures[refreshes].mean(0)
+        return tracked_mean(pictures[refreshes], self._motion[refreshes])
+
+    def error(self, test: Sequence[np.ndarray] | np.ndarray) -> SequenceError:
+        """Every error of ``test`` (n, H, W, 3). Raises ValueError where it has another length."""
+        if len(test) != len(self._reference):
+            raise ValueError(f"sequences of {len(test)} and {len(self._reference)} refreshes cannot be compared")
+        tests = np.asarray(test, np.float32)
+        errors = tests - self._reference
+        by_refresh = np.sqrt(np.mean(errors * errors, axis=(1, 2, 3), dtype=np.float64))
+        squares: dict[str, list[float]] = {"still": [], "tracking": []}
+        flips: dict[str, list[float]] = {"still": [], "tracking": []}
+        resolved: list[float] = []
+        for window in self._windows:
+            seen = self._seen(tests, window.refreshes, window.eye)
+            squares[window.eye].append(rmse(seen, window.wanted) ** 2)
+            if window.flip:
+                flips[window.eye].append(flip(seen, window.wanted, self._ppd))
+                if self._gaze is not None:
+                    resolved.append(self._gaze.rmse(seen, window.wanted) ** 2)
+        overall = float(np.sqrt(np.mean(by_refresh**2)))
+        return SequenceError(
+            refreshes=len(tests),
+            rmse=overall,
+            psnr_db=psnr_db(overall),
+            rmse_still=math.sqrt(np.mean(squares["still"])),
+            rmse_tracking=math.sqrt(np.mean(squares["tracking"])),
+            flip_still=float(np.mean(flips["still"])),
+            flip_tracking=float(np.mean(flips["tracking"])),
+            flicker=flicker(errors),
+            rmse_by_refresh=tuple(float(value) for value in by_refresh),
+            rmse_gaze=None if self._gaze is None else math.sqrt(np.mean(resolved)),
+        )
 
 
 def sequence_error(
@@ -119,48 +221,8 @@ def sequence_error(
     ppd: float,
     flip_windows: int = 4,
 ) -> SequenceError:
-    """Every error of a sequence of display-referred refreshes (n, H, W, 3) against the reference's.
-
-    ``motion``: the reference's, (n, H, W, 2). Windows of four refreshes are integrated; RMSE uses all of them, FLIP
-    ``flip_windows`` of them, evenly spread. Raises ValueError where the lengths differ or nothing is there.
-    """
-    n = len(test)
-    if n == 0 or len(reference) != n or len(motion) != n:
-        raise ValueError(f"sequences of {n}, {len(reference)} and {len(motion)} refreshes cannot be compared")
-    tests, references = np.asarray(test, np.float32), np.asarray(reference, np.float32)
-    motions = np.asarray(motion, np.float32)
-    errors = tests - references
-    by_refresh = np.sqrt(np.mean(errors.astype(np.float64) ** 2, axis=(1, 2, 3)))
-    length = min(INTEGRATED_REFRESHES, n)
-    starts = list(range(0, n - length + 1, length))
-    shown = {starts[i] for i in np.linspace(0, len(starts) - 1, min(flip_windows, len(starts))).round().astype(int)}
-    squares: dict[str, list[float]] = {"still": [], "tracking": []}
-    flips: dict[str, list[float]] = {"still": [], "tracking": []}
-    for start in starts:
-        window = slice(start, start + length)
-        means = {
-            "still": (tests[window].mean(0), references[window].mean(0)),
-            "tracking": (
-                tracked_mean(tests[window], motions[window]),
-                tracked_mean(references[window], motions[window]),
-            ),
-        }
-        for eye, (seen, wanted) in means.items():
-            squares[eye].append(rmse(seen, wanted) ** 2)
-            if start in shown:
-                flips[eye].append(flip(seen, wanted, ppd))
-    overall = float(np.sqrt(np.mean(by_refresh**2)))
-    return SequenceError(
-        refreshes=n,
-        rmse=overall,
-        psnr_db=psnr_db(overall),
-        rmse_still=math.sqrt(np.mean(squares["still"])),
-        rmse_tracking=math.sqrt(np.mean(squares["tracking"])),
-        flip_still=float(np.mean(flips["still"])),
-        flip_tracking=float(np.mean(flips["tracking"])),
-        flicker=flicker(errors),
-        rmse_by_refresh=tuple(float(value) for value in by_refresh),
-    )
+    """Every error of one sequence of display-referred refreshes (n, H, W, 3): a `Comparison` that is used once."""
+    return Comparison(reference, motion, ppd, flip_windows).error(test)
 
 
 def ring_rmse(

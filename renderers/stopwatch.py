@@ -5,8 +5,22 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 
 from renderers.technique import Measure
+
+_STAGES_WANTED: ContextVar[bool] = ContextVar("stages_wanted", default=False)
+
+
+@contextmanager
+def by_stages() -> Iterator[None]:
+    """Every frame rendered inside is measured by stage, also by techniques that were built with ``measure='total'``:
+    so that the same recorded kernels are timed both ways."""
+    token = _STAGES_WANTED.set(True)
+    try:
+        yield
+    finally:
+        _STAGES_WANTED.reset(token)
 
 
 class Stopwatch:
@@ -39,7 +53,7 @@ class Stopwatch:
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
         """One named stage; entering a name again within a frame adds to it."""
-        if not self.by_stage:
+        if not (self.by_stage or _STAGES_WANTED.get()):
             yield
             return
         start_s = self._clock_s()

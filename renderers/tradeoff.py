@@ -11,42 +11,39 @@ import itertools
 import json
 import math
 import statistics
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
+from renderers.acuity import GazeError
 from renderers.catalogue import CATALOGUE, TECHNIQUES, entry
 from renderers.clip_frames import scene_exposure, technique_params, view_at
+from renderers.eccentricity import eye_plane, gaze_point_px, picture_eccentricity_deg
 from renderers.engine import Engine
-from renderers.jod import JodMetric
-from renderers.metrics import pixels_per_degree, sequence_error
+from renderers.jod import GazeJodMetric, JodMetric
+from renderers.metrics import Comparison, pixels_per_degree, rmse
 from renderers.motion_picture import MotionPicture
-from renderers.technique import Frame, Gaze, Measure, ViewGeometry
-from stimuli.encode import display_values, encode
+from renderers.precision import precision_errors
+from renderers.reference import ReferenceRenderer
+from renderers.search import Setting
+from renderers.stopwatch import by_stages
+from renderers.technique import Gaze, Technique, View, ViewGeometry
+from renderers.units import average_blocks
+from stimuli.encode import display_values
 from stimuli.scene import CameraPath, Scene
 
-_STAGE_FRAMES = 8
-
-
-@dataclass(frozen=True)
-class Setting:
-    """One technique with its parameters at a content rate; ``origin``: default | knob | budget | baseline."""
-
-    technique: str
-    params: Mapping[str, Any] = field(default_factory=dict)
-    rate_hz: Fraction = Fraction(240)
-    origin: str = "default"
-
-    @property
-    def label(self) -> str:
-        """Short words for tables and plots."""
-        shown = ", ".join(f"{name} {_short(value)}" for name, value in self.params.items())
-        rate = "" if self.rate_hz == 240 else f" at {_short(float(self.rate_hz))} Hz"
-        return f"{self.technique}{rate}{f' ({shown})' if shown else ''}"
+_STAGE_FRAMES = 6
+_MOST_STAGE_VIEWS = 256
+_STATELESS_WARM_UP = 4
+_SETTLED = 16  # frames after which kernels, caches and the clamp of early history no longer show in the time
+_PRECISION_STEP = 4  # what storing adds is taken from every fourth refresh
+_GOLD_SEED = 0x601D
+_MEASURE = 2
+"""Raised where rows are measured in another way than before: old rows are then not found again."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +52,7 @@ class Conditions:
 
     size_px: tuple[int, int] = (256, 256)
     rate_hz: Fraction = Fraction(240)
-    frames: int = 32
+    frames: int = 16
     warm_up_frames: int = 48
     start_s: Fraction = Fraction(1)
     seed: int = 0
@@ -66,211 +63,184 @@ class Conditions:
     geometry: ViewGeometry | None = None
 
 
-def _short(value: object) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def settings_of(
-    names: Sequence[str], size_px: tuple[int, int], rate_hz: Fraction, budgets: Sequence[float], trials: int, seed: int
-) -> list[Setting]:
-    """What is tried: each technique's default, ``trials`` points of its knobs, its budgets, the equal-ray baselines.
-
-    Knobs are searched by the same rule for all: their grid in a seeded random order, the first ``trials`` points.
-    ``budgets`` are samples a second for the techniques that have such a parameter.
-    """
-    found: list[Setting] = []
-    quarter = size_px[0] * size_px[1] / 4 * float(rate_hz)
-    for name in names:
-        known = entry(name)
-        has_budget = "samples_per_s" in known.params.model_fields
-        if name != "reference":
-            default = {"samples_per_s": budgets[0] if budgets else quarter} if has_budget else {}
-            found.append(Setting(name, default, rate_hz))
-        for budget in budgets[1:] if has_budget else ():
-            found.append(Setting(name, {"samples_per_s": float(budget)}, rate_hz, "budget"))
-        knobs = {knob: values for knob, values in known.knobs.items() if knob != "samples_per_s"}
-        grid = [dict(zip(knobs, point, strict=True)) for point in itertools.product(*knobs.values())] if knobs else []
-        digest = hashlib.sha256(name.encode()).digest()
-        order = np.random.default_rng([seed, int.from_bytes(digest[:4], "little")]).permutation(len(grid))
-        extra = {"samples_per_s": budgets[0] if budgets else quarter} if has_budget else {}
-        found += [Setting(name, {**grid[i], **extra}, rate_hz, "knob") for i in order[:trials]]
-    if "temporally_dense" in names:
-        found += equal_ray_baselines(names, quarter, rate_hz)
-    unique: dict[str, Setting] = {}
-    for setting in found:
-        complete = technique_params(setting.technique, setting.params)
-        unique.setdefault(f"{setting.technique} {setting.rate_hz} {complete!r}", setting)
-    return list(unique.values())
-
-
-def equal_ray_baselines(names: Sequence[str], samples_per_s: float, rate_hz: Fraction) -> list[Setting]:
-    """What `temporally_dense` is judged against at its own primary rays a second."""
-    held = rate_hz / 4
-    wanted = [
-        Setting("framed_low_resolution", {"samples_per_s": samples_per_s}, rate_hz, "baseline"),
-        Setting("temporally_dense", {"reproject": False}, rate_hz, "baseline"),
-        Setting("vanilla", {}, held, "baseline"),
-        Setting("taa", {}, held, "baseline"),
-    ]
-    return [setting for setting in wanted if setting.technique in names]
-
-
 @dataclass(frozen=True)
 class Gold:
-    """The reference of one scene: display values and motion of the compared refreshes, and what all else shares."""
+    """The reference of one scene: display values and motion of the compared refreshes, what all else shares, the
+    reference's half of every comparison with it, and its own RMSE (display values; None at 1 sample a pixel)."""
 
     values: np.ndarray
     motion: np.ndarray
     exposure: float
     ppd: float
+    comparison: Comparison
+    own_rmse: float | None = None
 
 
-def _views(camera: CameraPath, c: Conditions, rate: Fraction, first: int, count: int, exposure: float) -> Iterator[Any]:
-    for k in range(first, first + count):
-        yield view_at(k, rate, c.start_s, c.size_px, camera, c.gaze, c.geometry, exposure, cut=k == 0)
+class Perceptual(Protocol):
+    """A metric of whole sequences that is not part of `SequenceError` (JOD)."""
+
+    def of(self, test: np.ndarray, reference: np.ndarray, rate_hz: Fraction) -> float:
+        """The quality of display values (n, H, W, 3) in [0, 1]."""
+        ...
+
+
+def _views(camera: CameraPath, c: Conditions, rate: Fraction, indices: Iterable[int], exposure: float) -> Iterator[Any]:
+    for place, k in enumerate(indices):
+        yield view_at(k, rate, c.start_s, c.size_px, camera, c.gaze, c.geometry, exposure, cut=place == 0)
 
 
 def gold_standard(engine: Engine, camera: CameraPath, c: Conditions, progress: Callable[[int], object]) -> Gold:
-    """Render the reference's compared refreshes."""
+    """Render the reference's compared refreshes, in two halves whose difference tells its own error.
+
+    Its samples lie elsewhere than those of any setting (own seed).
+    """
     exposure = scene_exposure(engine, camera, c.start_s)
     params = technique_params("reference", {"spp": c.reference_spp})
-    reference = TECHNIQUES["reference"](engine, c.size_px, params, c.seed, "total")
+    reference = ReferenceRenderer(engine, c.size_px, params, c.seed + _GOLD_SEED, "total")
     mover = MotionPicture(engine, c.size_px)
-    values, motion = [], []
-    for view in _views(camera, c, c.rate_hz, c.warm_up_frames, c.frames, exposure):
-        values.append(display_values(reference.render(view).color, exposure).astype(np.float32))
+    values, motion, own = [], [], []
+    sizes = [c.reference_spp - c.reference_spp // 2, c.reference_spp // 2]
+    refreshes = range(c.warm_up_frames, c.warm_up_frames + c.frames)
+    for view in _views(camera, c, c.rate_hz, refreshes, exposure):
+        firsts = [0, sizes[0]] if sizes[1] else [0]
+        halves = [reference.render_samples(view, *part).color for part in zip(firsts, sizes, strict=False)]
+        values.append(display_values(average_blocks(halves, sizes[: len(halves)]), exposure).astype(np.float32))
+        if len(halves) == 2:
+            own.append(rmse(*(display_values(half, exposure) for half in halves)) / 2)
         motion.append(mover.of(view))
         progress(1)
     ppd = pixels_per_degree(*c.size_px, camera.yfov_rad, c.geometry)
-    return Gold(np.array(values), np.array(motion), exposure, ppd)
-
-
-def _shown(
-    engine: Engine, camera: CameraPath, setting: Setting, c: Conditions, exposure: float, measure: Measure
-) -> Iterator[Frame]:
-    """The frames of ``setting`` that the refreshes warm_up .. warm_up + frames show, new ones only where due."""
-    params = technique_params(setting.technique, setting.params)
-    technique = TECHNIQUES[setting.technique](engine, c.size_px, params, c.seed, measure)
-    total = c.warm_up_frames + c.frames
-    count = math.ceil(total * setting.rate_hz / c.rate_hz)
-    for view in _views(camera, c, setting.rate_hz, 0, count, exposure):
-        yield technique.render(view)
+    eccentricity = picture_eccentricity_deg(eye_plane(c.size_px, camera.yfov_rad, c.geometry, c.gaze), c.size_px)
+    comparison = Comparison(values, motion, ppd, c.flip_windows, GazeError(eccentricity, ppd))
+    own_rmse = math.sqrt(statistics.fmean(error**2 for error in own)) if own else None
+    return Gold(np.array(values), np.array(motion), exposure, ppd, comparison, own_rmse)
 
 
 @dataclass(frozen=True)
 class Shown:
-    """What a setting showed of the compared refreshes: ``colors`` (n, H, W, 3) linear float32, one entry a refresh (a
-    held frame is there several times), ``seconds`` of each frame, ``rays`` of all frames by kind."""
+    """What a setting showed of the compared refreshes, and what it cost.
+
+    ``colors``: (n, H, W, 3) linear float32, one entry a refresh (a held frame is there several times). ``seconds`` of
+    every frame that was made once kernels and caches were warm, in the warm-up too (at least one). ``made_share``:
+    frames that were made, of all that were due. ``rays``: by kind, a frame that was due. ``stages_s``: the seconds of
+    each stage, of a few frames more.
+    """
 
     colors: list[np.ndarray]
     seconds: list[float]
-    rays: dict[str, int]
+    made_share: float
+    rays: dict[str, float]
+    stages_s: dict[str, list[float]]
 
 
-def shown_by(engine: Engine, camera: CameraPath, setting: Setting, exposure: float, c: Conditions) -> Shown:
-    """Render ``setting`` through the warm-up and keep the compared refreshes."""
-    colors: list[np.ndarray] = []
-    seconds: list[float] = []
-    rays: dict[str, int] = {}
+def first_frame(setting: Setting, c: Conditions) -> int:
+    """Index of the first frame that is rendered: 0, or, where frames follow from their views alone, a few before the
+    first that is compared (kernels are recorded and caches warm by then)."""
+    known = entry(setting.technique)
+    probes = c.lighting == "probes" or setting.params.get("probes", False)
+    if not (known.stateless or (known.probes_remember and not probes)):
+        return 0
+    return max(0, math.floor(c.warm_up_frames * setting.rate_hz / c.rate_hz) - _STATELESS_WARM_UP)
+
+
+def shown_by(
+    engine: Engine, camera: CameraPath, setting: Setting, exposure: float, c: Conditions, stage_frames: int = 0
+) -> Shown:
+    """Render ``setting`` through the warm-up, keep the compared refreshes, and then time the stages of ``stage_frames``
+    more frames (a synchronisation a stage: their sum exceeds the total)."""
+    params = technique_params(setting.technique, setting.params)
+    technique = TECHNIQUES[setting.technique](engine, c.size_px, params, c.seed, "total")
     per_content = c.rate_hz / setting.rate_hz
-    for k, frame in enumerate(_shown(engine, camera, setting, c, exposure, "total")):
-        first, after = math.ceil(k * per_content), math.ceil((k + 1) * per_content)
-        shown = [r for r in range(first, after) if c.warm_up_frames <= r < c.warm_up_frames + c.frames]
-        if shown:
-            colors += [np.array(frame.color, np.float32)] * len(shown)
-            seconds.append(frame.seconds["total"])
-            for kind, number in frame.rays.items():
-                rays[kind] = rays.get(kind, 0) + number
-    return Shown(colors, seconds, rays)
+    start, total = first_frame(setting, c), c.warm_up_frames + c.frames
+    end = math.ceil(total / per_content)
+    views = _views(camera, c, setting.rate_hz, itertools.count(start), exposure)
+    colors: list[np.ndarray] = []
+    cost: list[tuple[float, Mapping[str, int]]] = []
+    first_compared = 0
+    for k, view in zip(range(start, end), views, strict=False):
+        frame = technique.render(view)
+        cost.append((frame.seconds["total"], dict(frame.rays)))
+        refreshes = range(max(math.ceil(k * per_content), c.warm_up_frames), math.ceil((k + 1) * per_content))
+        held = len([r for r in refreshes if r < total])
+        colors += [np.array(frame.color, np.float32)] * held
+        first_compared += not held
+    # a frame may be held for longer than all that is compared: then all that was rendered tells the cost
+    due = cost[first_compared:] if any(seconds > 0 for seconds, _ in cost[first_compared:]) else cost
+    made = [seconds for seconds, _ in cost if seconds > 0]
+    warm = [seconds for seconds, _ in cost[min(first_compared, _SETTLED) :] if seconds > 0]
+    return Shown(
+        colors=colors,
+        seconds=warm or made[-1:],
+        made_share=sum(seconds > 0 for seconds, _ in due) / len(due),
+        rays={kind: sum(rays[kind] for _, rays in due) / len(due) for kind in due[0][1]},
+        stages_s=_stages(technique, views, stage_frames),
+    )
+
+
+def _stages(technique: Technique, views: Iterator[View], frames: int) -> dict[str, list[float]]:
+    """Seconds of each stage of the next ``frames`` frames that are made; held ones have none, and are not waited for
+    beyond `_MOST_STAGE_VIEWS`."""
+    stages: dict[str, list[float]] = {}
+    for view in itertools.islice(views, _MOST_STAGE_VIEWS if frames else 0):
+        with by_stages():
+            taken = technique.render(view).seconds
+        if taken["total"] > 0:
+            for name, seconds in taken.items():
+                stages.setdefault(name, []).append(seconds)
+        if len(stages.get("total", ())) >= frames:
+            break
+    return {name: seconds for name, seconds in stages.items() if name != "total"}
+
+
+def perceptual_metrics(columns: Sequence[str], camera: CameraPath, gold: Gold, c: Conditions) -> dict[str, Perceptual]:
+    """The metrics behind the columns ``jod`` and ``jod_gaze``. Raises InputError where a package is not installed."""
+    found: dict[str, Perceptual] = {}
+    if "jod" in columns:
+        found["jod"] = JodMetric(c.size_px, gold.ppd)
+    if "jod_gaze" in columns:
+        plane = eye_plane(c.size_px, camera.yfov_rad, c.geometry, c.gaze)
+        found["jod_gaze"] = GazeJodMetric(c.size_px, gold.ppd, gaze_point_px(plane))
+    return found
 
 
 def measure_setting(
-    engine: Engine, camera: CameraPath, setting: Setting, gold: Gold, c: Conditions, jod: JodMetric | None = None
+    engine: Engine,
+    camera: CameraPath,
+    setting: Setting,
+    gold: Gold,
+    c: Conditions,
+    perceptual: Mapping[str, Perceptual] | None = None,
 ) -> dict[str, Any]:
-    """One row: what ``setting`` costs a refresh and how far it is from the gold standard (with ``jod``, in JOD too)."""
-    shown = shown_by(engine, camera, setting, gold.exposure, c)
-    seconds, rays = shown.seconds, shown.rays
-    pictures = [display_values(color, gold.exposure).astype(np.float32) for color in shown.colors]
-    error = sequence_error(pictures, gold.values, gold.motion, gold.ppd, c.flip_windows)
-    # held frames of a low-rate technique cost nothing: the mean over refreshes is what a budget means
-    traced = [s for s in seconds if s > 0]
-    busy_share = len(traced) / len(seconds)
-    ms_content = statistics.median(traced) * 1e3
-    row: dict[str, Any] = {
+    """One row: what ``setting`` costs a refresh and how far it is from the gold standard. ``perceptual``: column ->
+    a metric of its own, see `Perceptual`."""
+    shown = shown_by(engine, camera, setting, gold.exposure, c, _STAGE_FRAMES)
+    pictures = np.array([display_values(color, gold.exposure).astype(np.float32) for color in shown.colors])
+    error = gold.comparison.error(pictures)
+    # held frames cost nothing: the mean over refreshes is what a budget means
+    ms_content = statistics.median(shown.seconds) * 1e3
+    hz = float(setting.rate_hz)
+    few = slice(None, None, _PRECISION_STEP)
+    precision = precision_errors(shown.colors[few], gold.values[few], gold.exposure)
+    return {
         "technique": setting.technique,
         "label": setting.label,
         "params": dict(setting.params),
         "origin": setting.origin,
         "content_hz": float(setting.rate_hz),
         "ms_per_content_frame": ms_content,
-        "ms_p95": float(np.quantile(traced, 0.95)) * 1e3,
-        "ms_per_refresh": ms_content * busy_share * float(setting.rate_hz / c.rate_hz),
-        "primary_per_s": rays.get("primary", 0) / c.frames * float(c.rate_hz),
-        "rays_per_s": sum(rays.values()) / c.frames * float(c.rate_hz),
-        "rays": {kind: number / c.frames for kind, number in rays.items()},
+        "ms_p95": float(np.quantile(shown.seconds, 0.95)) * 1e3,
+        "ms_per_refresh": ms_content * shown.made_share * float(setting.rate_hz / c.rate_hz),
+        "primary_per_s": shown.rays["primary"] * hz,
+        "rays_per_s": sum(shown.rays.values()) * hz,
+        "rays": {kind: number * float(setting.rate_hz / c.rate_hz) for kind, number in shown.rays.items()},
         **{name: value for name, value in asdict(error).items() if name != "rmse_by_refresh"},
         "rmse_by_refresh": list(error.rmse_by_refresh),
+        "gold_rmse": gold.own_rmse,
         "rmse_eyes": math.sqrt((error.rmse_still**2 + error.rmse_tracking**2) / 2),
+        **{name: metric.of(pictures, gold.values, c.rate_hz) for name, metric in (perceptual or {}).items()},
+        "stages_ms": {name: statistics.median(values) * 1e3 for name, values in shown.stages_s.items()},
+        "precision": {kind: asdict(what) for kind, what in precision.items()},
     }
-    if jod is not None:
-        row["jod"] = jod.of(np.array(pictures), gold.values, c.rate_hz)
-    row["stages_ms"] = _stages(engine, camera, setting, gold.exposure, c)
-    row["precision"] = {
-        kind: asdict(what) for kind, what in precision_errors(shown.colors, gold.values, gold.exposure).items()
-    }
-    return row
-
-
-@dataclass(frozen=True)
-class PrecisionError:
-    """What storing adds, in display values: RMS and largest difference from the float picture (before any rounding),
-    and how much the RMSE against the gold standard grows."""
-
-    rmse_added: float
-    most_added: float
-    rmse_growth: float
-
-
-def precision_errors(colors: Sequence[np.ndarray], gold: np.ndarray, exposure: float) -> dict[str, PrecisionError]:
-    """The errors of ``half`` (stored clips: OpenEXR half floats) and ``codes8`` (the play cache: RGBA8 codes, made from
-    those halves) against single precision.
-
-    Args:
-        colors: linear pictures (H, W, 3), float32.
-        gold: their gold standard in display values, (n, H, W, 3).
-    """
-    squares = {kind: np.zeros(2) for kind in ("half", "codes8")}
-    most = dict.fromkeys(squares, 0.0)
-    plain = 0.0
-    for color, wanted in zip(colors, gold, strict=True):
-        exact = display_values(color, exposure)
-        plain += float(np.mean((exact - wanted) ** 2))
-        stored = {
-            "half": display_values(color.astype(np.float16), exposure),
-            "codes8": encode(color, exposure)[..., :3] / 255.0,
-        }
-        for kind, values in stored.items():
-            squares[kind] += [np.mean((values - exact) ** 2), np.mean((values - wanted) ** 2)]
-            most[kind] = max(most[kind], float(np.abs(values - exact).max()))
-    count = max(1, len(colors))
-    root = math.sqrt(plain / count)
-    return {
-        kind: PrecisionError(math.sqrt(added / count), most[kind], math.sqrt(against / count) - root)
-        for kind, (added, against) in squares.items()
-    }
-
-
-def _stages(engine: Engine, camera: CameraPath, setting: Setting, exposure: float, c: Conditions) -> dict[str, float]:
-    """Median milliseconds of each stage over a few frames (a synchronisation a stage: their sum exceeds the total)."""
-    from dataclasses import replace
-
-    few = replace(c, warm_up_frames=4, frames=_STAGE_FRAMES)
-    stages: dict[str, list[float]] = {}
-    for k, frame in enumerate(_shown(engine, camera, setting, few, exposure, "stages")):
-        if k >= 2:
-            for name, value in frame.seconds.items():
-                stages.setdefault(name, []).append(value * 1e3)
-    return {name: statistics.median(values) for name, values in stages.items() if name != "total"}
 
 
 def pareto_front(
@@ -316,6 +286,7 @@ class RowFile:
             str(setting.rate_hz),
             asdict(c),
             version,
+            _MEASURE,
         ]
         return hashlib.sha256(json.dumps(told, sort_keys=True, default=str).encode()).hexdigest()
 

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from renderers.operating_points import operating_points
 from renderers.text_table import aligned
 from renderers.tradeoff import pareto_front
 
@@ -21,9 +22,11 @@ _COLUMNS = (
     ("tracking", "rmse_tracking", "{:.2f}"),
     ("FLIP still", "flip_still", "{:.4f}"),
     ("tracking", "flip_tracking", "{:.4f}"),
+    ("gaze", "rmse_gaze", "{:.2f}"),
     ("flicker", "flicker", "{:.2f}"),
 )
-_CODES = {"rmse_still", "rmse_tracking", "flicker"}  # shown in display codes, x 255
+_CODES = {"rmse_still", "rmse_tracking", "rmse_gaze", "flicker"}  # shown in display codes, x 255
+_PERCEPTUAL = {"jod": "JOD", "jod_gaze": "JOD gaze"}
 _COLORS = (*(f"C{k}" for k in range(10)), "black", "gold", "navy")
 _MARKERS = "osD^v<>pPX*hd"
 
@@ -37,7 +40,8 @@ def with_ratios(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 def table(rows: Sequence[Mapping[str, Any]]) -> str:
     """Aligned text; errors x 255; a star marks the Pareto front of cost and error (both eyes)."""
     front = set(pareto_front(rows))
-    columns = [*_COLUMNS, *([("JOD", "jod", "{:.2f}")] if any("jod" in row for row in rows) else [])]
+    extra = [(title, name, "{:.2f}") for name, title in _PERCEPTUAL.items() if any(name in row for row in rows)]
+    columns = [*_COLUMNS, *extra]
     cells = [["", *(title for title, _, _ in columns)]]
     for i, row in enumerate(rows):
         line = ["*" if i in front else " "]
@@ -68,6 +72,12 @@ def spread(rows: Sequence[Mapping[str, Any]]) -> str:
                 f"   ms {min(costs):7.2f} to {max(costs):7.2f}"
             )
     return "\n".join(lines)
+
+
+def gold_error(rows: Sequence[Mapping[str, Any]]) -> str:
+    """What the gold standard itself errs by, in words: it is part of every error measured against it."""
+    own = [row["gold_rmse"] for row in rows if row.get("gold_rmse") is not None]
+    return f"{own[0] * 255:.2f}" if own else "not known from one sample"
 
 
 def equal_cost(rows: Sequence[Mapping[str, Any]], cost: str, limit: float) -> list[Mapping[str, Any]]:
@@ -137,6 +147,11 @@ def plot(rows_by_scene: Mapping[str, Sequence[Mapping[str, Any]]], path: Path, s
                 [row["rmse_eyes"] * 255 for row in own],
                 _MARKERS[n % len(_MARKERS)], color=_COLORS[n % len(_COLORS)], label=name, alpha=0.85, markersize=6,
             )  # fmt: skip
+        own = operating_points(rows)
+        axes.plot(
+            [row["ms_per_refresh"] for row in own], [row["rmse_eyes"] * 255 for row in own], "o", ms=12, mfc="none",
+            mec="0.3", mew=1, label="operating point",
+        )  # fmt: skip
         front = [rows[i] for i in pareto_front(rows)]
         axes.step(
             [row["ms_per_refresh"] for row in front],
@@ -144,6 +159,7 @@ def plot(rows_by_scene: Mapping[str, Sequence[Mapping[str, Any]]], path: Path, s
             where="post",
             color="0.4",
             lw=1,
+            label="Pareto front",
         )
         axes.set_xscale("log")
         axes.set_xlabel("ms a refresh on this machine (log)")

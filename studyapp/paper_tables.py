@@ -21,7 +21,7 @@ TABLES = {
 
 _FIXED: dict[str, Any] = {
     "technique": None, "budget": "", "rate": "240", "lighting": "direct", "spp": 64, "trials": 4, "warm_up": 48,
-    "jod": False, "seed": 0, "duration": "20",
+    "jod": False, "jod_gaze": False, "gaze": None, "seed": 0, "duration": "20",
 }  # fmt: skip
 """Options of `studyapp tradeoff`, with their defaults, that weier2016 and herr2021 fix themselves."""
 

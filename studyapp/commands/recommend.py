@@ -43,7 +43,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Measure what is missing, time the best anew, and say which setting holds; exit 1 where none does."""
-    from renderers import recommend, tradeoff
+    from renderers import recommend, search, tradeoff
     from renderers.clip_frames import scene_exposure
     from renderers.engine import Engine
     from stimuli import load_scene
@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
         seed=args.seed, reference_spp=16, lighting=args.lighting,
     )  # fmt: skip
     names = tradeoff.techniques_for(args.technique)
-    settings = tradeoff.settings_of(names, size_px, rate, [], args.trials, args.seed)
+    settings = search.settings_of(names, size_px, rate, [], args.trials, args.seed)
     settings = [setting for setting in settings if setting.rate_hz == rate]
     rows = scene_rows(args.scene, args, settings, conditions)
     scene = load_scene(args.scene, animation=args.animation)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -29,7 +30,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "errors of herr2021 512x288)",
     )  # fmt: skip
     parser.add_argument(
-        "--frames", type=int, default=None, metavar="N", help="compared refreshes (default 32; of dayal2005 100; of "
+        "--frames", type=int, default=None, metavar="N", help="compared refreshes (default 16; of dayal2005 100; of "
         "weier2016 30 a cell; of herr2021 7, 3 and 1 for 1, 64 and 256 light samples)",
     )  # fmt: skip
     parser.add_argument("--warm-up", type=int, default=48, metavar="N", help="refreshes before them (default 48)")
@@ -62,6 +63,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--fresh", action="store_true", help="measure anew what DIR already holds")
     parser.add_argument("--jod", action="store_true", help="ColorVideoVDP too (an optional extra: pip install cvvdp)")
+    parser.add_argument(
+        "--jod-gaze", action="store_true", help="FovVideoVDP too, looking at --gaze (an extra: pip install pyfvvdp)"
+    )
+    parser.add_argument(
+        "--gaze", default=None, metavar="X,Y", help="degrees right and up of the picture's middle (default: its middle)"
+    )
     parser.add_argument("--json", action="store_true", help="print JSON instead of the table")
 
 
@@ -85,6 +92,19 @@ def size(text: str) -> tuple[int, int]:
     return int(width), int(height)
 
 
+def gaze(text: str | None) -> tuple[float, float] | None:
+    """'10,-5' -> degrees right and up of the middle; None: nothing was said."""
+    if text is None:
+        return None
+    try:
+        right, up = (float(part) for part in text.split(","))
+        if not (math.isfinite(right) and math.isfinite(up)):
+            raise ValueError(text)
+    except ValueError as error:
+        raise InputError(problem("--gaze", "direction", repr(text), "degrees right,up, as in 10,-5")) from error
+    return right, up
+
+
 def rational(text: str, where: str) -> Fraction:
     """An exact number."""
     try:
@@ -95,12 +115,13 @@ def rational(text: str, where: str) -> Fraction:
 
 def run(args: argparse.Namespace) -> int:
     """Measure what is not yet there, write everything, print the table."""
-    from renderers import tradeoff, tradeoff_report
+    from renderers import operating_points, search, tradeoff, tradeoff_report
     from renderers.jod import require_jod
     from studyapp import paper_tables
 
-    if args.jod:
-        require_jod()
+    for option in ("--jod", "--jod-gaze"):
+        if getattr(args, option[2:].replace("-", "_")):
+            require_jod(option)
     budgets = [number(part, "--budget") for part in args.budget.split(",") if part]
     if is_table1(args):
         args.table = "dayal2005"
@@ -113,8 +134,9 @@ def run(args: argparse.Namespace) -> int:
     names = tradeoff.techniques_for(args.technique)
     conditions = tradeoff.Conditions(
         size_px=size(args.size), rate_hz=rational(args.rate, "--rate"),
-        frames=32 if args.frames is None else args.frames, warm_up_frames=args.warm_up,
+        frames=16 if args.frames is None else args.frames, warm_up_frames=args.warm_up,
         start_s=rational(args.start, "--start"), seed=args.seed, reference_spp=args.spp, lighting=args.lighting,
+        gaze=gaze(args.gaze),
     )  # fmt: skip
     if (
         conditions.frames < 1
@@ -123,9 +145,11 @@ def run(args: argparse.Namespace) -> int:
         or conditions.reference_spp < 1
     ):
         raise InputError(problem("tradeoff", "frames, warm-up, rate, spp", "one below its least", "1, 0, above 0, 1"))
-    settings = tradeoff.settings_of(names, conditions.size_px, conditions.rate_hz, budgets, args.trials, args.seed)
+    settings = search.settings_of(
+        names, conditions.size_px, conditions.rate_hz, budgets, args.trials, args.seed, args.spp
+    )
     scenes = args.scene or ["toy_car", "bar"]
-    by_scene = {Path(name).stem: scene_rows(name, args, settings, conditions) for name in scenes}
+    by_scene = {Path(name).stem: scene_rows(name, args, settings, conditions, tuned=True) for name in scenes}
     args.out.mkdir(parents=True, exist_ok=True)
     (args.out / "tradeoff.json").write_text(json.dumps(by_scene, indent=1))
     tradeoff_report.write_csv(
@@ -137,7 +161,10 @@ def run(args: argparse.Namespace) -> int:
     else:
         for name, rows in by_scene.items():
             print(f"\n{name}, {args.size} at {args.rate} Hz, errors x 255 against {args.spp} spp (*: on the front)")
+            print(f"the gold standard's own error, from its two halves: {tradeoff_report.gold_error(rows)}")
             print(tradeoff_report.table(rows))
+            print("\noperating points: error x 255 (followed gaze: as far as it is resolved), cost, and the front")
+            print(operating_points.lines(rows))
             print(f"\nspread over settings\n{tradeoff_report.spread(rows)}")
             print(f"\nat equal cost\n{tradeoff_report.comparisons(rows)}")
             print(f"\nprecision of what is stored, display codes\n{tradeoff_report.precision(rows)}")
@@ -153,13 +180,15 @@ def is_table1(args: argparse.Namespace) -> bool:
     )
 
 
-def scene_rows(name: str, args: argparse.Namespace, settings: list[Any], conditions: Any) -> list[dict[str, Any]]:
-    """The rows of one scene, from DIR where they are there, measured where not."""
+def scene_rows(
+    name: str, args: argparse.Namespace, settings: list[Any], conditions: Any, tuned: bool = False
+) -> list[dict[str, Any]]:
+    """The rows of one scene, from DIR where they are there, measured where not. ``tuned``: then also the best setting
+    of each technique at the rays a second of `temporally_dense`."""
     from tqdm import tqdm
 
-    from renderers import tradeoff, tradeoff_report
+    from renderers import operating_points, search, tradeoff, tradeoff_report
     from renderers.engine import Engine
-    from renderers.jod import JodMetric
     from stimuli import load_scene
     from stimuli.camera_path import camera_path
     from stimuli.clip_request import ENGINE_VERSION
@@ -167,23 +196,30 @@ def scene_rows(name: str, args: argparse.Namespace, settings: list[Any], conditi
     scene = load_scene(name, animation=args.animation)
     for note in scene.notes:
         print(f"{scene.name}: {note}")
-    default = "file" if scene.duration_s > 0 else "sway"
-    camera = camera_path(scene, args.path or default)
+    camera = camera_path(scene, args.path or ("file" if scene.duration_s > 0 else "sway"))
     file = tradeoff.RowFile(args.out / "rows.jsonl")
-    keys = [tradeoff.RowFile.key(scene, camera, setting, conditions, ENGINE_VERSION) for setting in settings]
-    jod_wanted = getattr(args, "jod", False)
-    missing = [
-        k
-        for k, key in enumerate(keys)
-        if args.fresh or key not in file.rows or (jod_wanted and "jod" not in file.rows[key])
-    ]
-    if missing:
-        with tqdm(total=conditions.frames + len(missing), desc=Path(name).stem, disable=None) as bar:
-            engine = Engine(scene, lighting=args.lighting)
-            gold = tradeoff.gold_standard(engine, camera, conditions, bar.update)
-            jod = JodMetric(conditions.size_px, gold.ppd) if jod_wanted else None
-            for k in missing:
-                bar.set_postfix_str(settings[k].label)
-                file.add(keys[k], tradeoff.measure_setting(engine, camera, settings[k], gold, conditions, jod))
-                bar.update(1)
-    return tradeoff_report.with_ratios([file.rows[key] for key in keys])
+    known = {} if args.fresh else dict(file.rows)
+    columns = [column for column in ("jod", "jod_gaze") if getattr(args, column, False)]
+    made: list[tuple[Any, Any, Any]] = []
+    with tqdm(total=conditions.frames + len(settings), desc=Path(name).stem, disable=None) as bar:
+
+        def measured(setting: Any) -> dict[str, Any]:
+            key = tradeoff.RowFile.key(scene, camera, setting, conditions, ENGINE_VERSION)
+            if key not in known or any(column not in known[key] for column in columns):
+                if not made:
+                    engine = Engine(scene, lighting=args.lighting)
+                    gold = tradeoff.gold_standard(engine, camera, conditions, bar.update)
+                    made.append((engine, gold, tradeoff.perceptual_metrics(columns, camera, gold, conditions)))
+                engine, gold, perceptual = made[0]
+                bar.set_postfix_str(setting.label)
+                row = tradeoff.measure_setting(engine, camera, setting, gold, conditions, perceptual)
+                known[key] = file.add(key, row)
+            bar.update(1)
+            return known[key]
+
+        rows = [measured(setting) for setting in settings]
+        if tuned:
+            more = search.tuned_to_equal_rays(rows, conditions.size_px, conditions.rate_hz)
+            bar.total = conditions.frames + len(settings) + len(more)
+            rows += [measured(setting) for setting in more]
+    return operating_points.judged(tradeoff_report.with_ratios(rows))

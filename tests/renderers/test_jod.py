@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from renderers.jod import JodMetric, diagonal_inches
+from renderers.jod import GazeJodMetric, JodMetric, diagonal_inches
 from renderers.metrics import pixels_per_degree
 from renderers.technique import ViewGeometry
 from studyapp.cli import main
@@ -60,3 +60,38 @@ def test_the_metric_gets_codes_of_both_sequences_and_the_rate(monkeypatch: pytes
     assert asked["test"].dtype == np.uint8
     assert (asked["test"] == 128).all()
     assert (asked["reference"] == 255).all()
+
+
+def test_the_gaze_and_the_field_reach_the_metric_that_follows_the_eye(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: dict[str, Any] = {}
+
+    class Double:
+        """Stands for pyfvvdp.fvvdp: notes what it is asked."""
+
+        def __init__(self, **settings: Any) -> None:
+            asked.update(settings)
+
+        def predict(self, test: np.ndarray, reference: np.ndarray, **settings: Any) -> Any:
+            asked.update(settings, test=test)
+            return 8.25, {}
+
+    package = ModuleType("pyfvvdp")
+    package.fvvdp = Double  # type: ignore[attr-defined]
+    package.fvvdp_display_geometry = lambda size, **more: (size, more)  # type: ignore[attr-defined]
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: package)
+    monkeypatch.setitem(sys.modules, "pyfvvdp", package)
+    metric = GazeJodMetric((4, 3), 30.0, (2.0, 1.5))
+    assert metric.of(np.full((2, 3, 4, 3), 0.5), np.zeros((2, 3, 4, 3)), Fraction(240)) == 8.25
+    assert asked["foveated"] is True
+    assert asked["display_geometry"][0] == (4, 3)
+    assert asked["fixation_point"].tolist() == [1.5, 1.0]  # the metric's pixel centres are whole numbers
+    assert asked["frames_per_second"] == 240.0
+    assert asked["test"].dtype == np.uint8
+
+
+def test_the_metric_that_follows_the_eye_says_what_to_install(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    assert main(["tradeoff", "--technique", "vanilla", "--jod-gaze"]) == 2
+    assert "--jod-gaze: FovVideoVDP: got not installed, wanted `pip install pyfvvdp`" in capsys.readouterr().err

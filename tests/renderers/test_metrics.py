@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 import pytest
+from scipy.ndimage import map_coordinates
 
-from renderers.metrics import flicker, pixels_per_degree, psnr_db, ring_rmse, sequence_error, tracked_mean
+from renderers.metrics import Comparison, flicker, pixels_per_degree, psnr_db, ring_rmse, sequence_error, tracked_mean
 from renderers.technique import ViewGeometry
 
 
@@ -50,6 +51,28 @@ def test_the_tracking_eye_sees_a_moving_texture_sharp() -> None:
     seen = tracked_mean(frames, motion)
     np.testing.assert_allclose(seen[:, 12:], frames[-1][:, 12:], atol=1e-6)
     assert np.abs(frames.mean(0) - frames[-1])[:, 12:].max() > 0.2  # the still eye does not
+
+
+def test_following_is_bilinear_and_clamped_to_the_edge() -> None:
+    rng = np.random.default_rng(3)
+    pictures, motion = rng.random((3, 9, 12, 3)), 8 * rng.random((3, 9, 12, 2)) - 4
+    y, x = np.mgrid[0:9, 0:12].astype(float)
+    total = pictures[2].copy()
+    for k in (2, 1):  # scipy's own sampling, a step at a time
+        sampled = [map_coordinates(motion[k][..., c], (y, x), order=1, mode="nearest") for c in (0, 1)]
+        x, y = x - sampled[0], y - sampled[1]
+        total += np.stack(
+            [map_coordinates(pictures[k - 1][..., c], (y, x), order=1, mode="nearest") for c in range(3)], 2
+        )
+    np.testing.assert_allclose(tracked_mean(pictures, motion), total / 3, atol=1e-5)
+
+
+def test_a_comparison_made_once_gives_each_sequence_its_own_error() -> None:
+    frames, motion = moving_texture(8, 2)
+    others = [np.clip(frames + shift, 0, 1) for shift in (0.05, 0.1)]
+    once = Comparison(frames, motion, 30.0, 1)
+    assert [once.error(other) for other in others] == [sequence_error(o, frames, motion, 30.0, 1) for o in others]
+    assert once.error(frames).rmse_gaze is None
 
 
 def test_one_refresh_late_is_worse_than_on_time_for_both_eyes() -> None:

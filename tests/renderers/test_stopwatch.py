@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from itertools import count
 
-from renderers.stopwatch import Stopwatch
+from renderers.stopwatch import Stopwatch, by_stages
 
 
 def test_stages_are_timed_only_when_asked_and_synchronised_then() -> None:
@@ -22,3 +22,13 @@ def test_stages_are_timed_only_when_asked_and_synchronised_then() -> None:
                         pass
         assert watch.seconds == expected
         assert len(synced) == calls
+
+
+def test_stages_can_be_asked_of_a_technique_that_was_built_without_them() -> None:
+    watch = Stopwatch("total", lambda: None, iter([0.0, 1.0, 2.0, 4.0, 8.0, 16.0]).__next__)
+    with by_stages(), watch.frame(), watch.stage("trace"):
+        pass
+    assert watch.seconds == {"trace": 1.0, "total": 4.0}
+    with watch.frame(), watch.stage("trace"):
+        pass
+    assert watch.seconds == {"total": 8.0}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
-from collections import Counter
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -13,57 +13,18 @@ import numpy as np
 import pytest
 
 from renderers import tradeoff, tradeoff_report
-from renderers.catalogue import CATALOGUE
+from renderers.clip_frames import technique_params, view_at
 from renderers.engine import Engine
-from renderers.tradeoff import Conditions, RowFile, Setting, pareto_front, precision_errors, settings_of
+from renderers.precision import precision_errors
+from renderers.search import Setting
+from renderers.tradeoff import Conditions, RowFile, pareto_front
 from stimuli import load_scene
 from stimuli.camera_path import camera_path
 from stimuli.encode import display_values
 from stimuli.errors import InputError
 from studyapp.cli import main
 
-SIZE, RATE = (64, 48), Fraction(240)
 SMALL = Conditions(size_px=(40, 24), frames=8, warm_up_frames=4, reference_spp=4, flip_windows=1)
-
-
-def test_no_setting_is_measured_twice() -> None:
-    settings = settings_of(list(CATALOGUE), SIZE, RATE, [], 100, 0)
-    complete = [(s.technique, s.rate_hz, repr(tradeoff.technique_params(s.technique, s.params))) for s in settings]
-    assert len(set(complete)) == len(complete)
-
-
-def test_every_technique_is_searched_with_the_same_number_of_trials() -> None:
-    settings = settings_of(list(CATALOGUE), SIZE, RATE, [], 3, 7)
-    trials = Counter(s.technique for s in settings if s.origin == "knob")
-    for name, known in CATALOGUE.items():
-        free = {knob: values for knob, values in known.knobs.items() if knob != "samples_per_s"}
-        points = int(np.prod([len(values) for values in free.values()])) if free else 0
-        # the default may be one of the points that were drawn, and is then not measured again
-        assert min(3, points) - 1 <= trials[name] <= min(3, points), name
-
-
-def test_the_search_is_seeded() -> None:
-    def tried(seed: int) -> list[str]:
-        return [s.label for s in settings_of(["taa", "temporally_dense"], SIZE, RATE, [], 4, seed)]
-
-    assert tried(1) == tried(1)
-    assert tried(1) != tried(2)
-
-
-def test_baselines_have_the_rays_of_temporally_dense() -> None:
-    settings = settings_of(list(CATALOGUE), SIZE, RATE, [], 0, 0)
-    baselines = {s.label: s for s in settings if s.origin == "baseline"}
-    assert baselines["vanilla at 60 Hz"].rate_hz == 60
-    assert baselines["taa at 60 Hz"].rate_hz == 60
-    assert any(s.technique == "temporally_dense" and s.params == {"reproject": False} for s in baselines.values())
-    quarter = SIZE[0] * SIZE[1] / 4 * 240
-    low = [s for s in settings if s.technique == "framed_low_resolution"]
-    assert [s.params["samples_per_s"] for s in low] == [quarter]
-
-
-def test_budgets_reach_the_techniques_that_have_one() -> None:
-    settings = settings_of(["traditional_frameless", "vanilla"], SIZE, RATE, [1e5, 4e5], 2, 0)
-    assert [s.params.get("samples_per_s") for s in settings if s.technique == "traditional_frameless"] == [1e5, 4e5]
 
 
 def test_an_unknown_technique_is_said() -> None:
@@ -115,6 +76,49 @@ def test_a_row_holds_cost_rays_and_the_errors_of_both_eyes(measured: list[dict[s
 def test_a_held_frame_is_further_off_than_one_at_every_refresh(measured: list[dict[str, Any]]) -> None:
     vanilla, held, _ = measured
     assert held["rmse_tracking"] > vanilla["rmse_tracking"]
+
+
+def test_a_frame_that_is_held_throughout_still_tells_what_it_costs() -> None:
+    scene = load_scene("toy_car")
+    engine, camera = Engine(scene), camera_path(scene, "file")
+    held = Setting("framed_low_rate", {"samples_per_s": 40 * 24 * 240 / 6}, Fraction(240))  # one frame in six
+    few = replace(SMALL, frames=4, warm_up_frames=8)
+    shown = tradeoff.shown_by(engine, camera, held, 1.0, few, 1)
+    assert all(np.array_equal(color, shown.colors[0]) for color in shown.colors)  # refreshes 8 to 11 show frame 6
+    assert shown.made_share == 2 / 12
+    assert shown.rays["primary"] == 40 * 24 / 6
+    assert shown.seconds and min(shown.seconds) > 0  # noqa: PT018
+    assert set(shown.stages_s) >= {"trace"}
+
+
+@pytest.mark.parametrize("name", ["vanilla", "framed_low_resolution", "polar", "reference"])
+def test_what_remembers_nothing_needs_no_warm_up(name: str) -> None:
+    scene = load_scene("toy_car")
+    engine, camera = Engine(scene), camera_path(scene, "file")
+    setting, longer = Setting(name), replace(SMALL, frames=2, warm_up_frames=9)
+    assert tradeoff.first_frame(setting, longer) == 5
+    assert tradeoff.first_frame(Setting("taa"), longer) == 0
+    found = tradeoff.shown_by(engine, camera, setting, 1.0, longer).colors
+    assert tradeoff.first_frame(setting, replace(longer, lighting="probes")) == (0 if name == "polar" else 5)
+    made = tradeoff.TECHNIQUES[name](engine, SMALL.size_px, technique_params(name, {}), 0, "total")
+    for k in range(11):  # every frame from the start
+        frame = made.render(view_at(k, longer.rate_hz, longer.start_s, SMALL.size_px, camera, cut=k == 0)).color
+        if k >= 9:
+            np.testing.assert_array_equal(found[k - 9], frame)
+
+
+def test_the_gold_standards_own_error_is_that_of_its_samples(measured: list[dict[str, Any]]) -> None:
+    scene = load_scene("toy_car")
+    engine, camera = Engine(scene), camera_path(scene, "file")
+    few, many = (
+        tradeoff.gold_standard(engine, camera, replace(SMALL, frames=2, reference_spp=spp), lambda n: None)
+        for spp in (4, 256)
+    )
+    apart = np.sqrt(np.mean((few.values - many.values) ** 2))
+    assert few.own_rmse == pytest.approx(apart, rel=0.35)
+    assert many.own_rmse is not None
+    assert many.own_rmse < few.own_rmse / 3
+    assert measured[0]["gold_rmse"] > 0
 
 
 def test_ratios_are_to_vanilla_at_the_displays_rate(measured: list[dict[str, Any]]) -> None:
@@ -175,7 +179,8 @@ def test_the_command_writes_table_csv_json_and_plot_and_goes_on_where_it_was(
     ).split()
     assert main(command) == 0
     text = capsys.readouterr().out
-    for words in ("vanilla", "framed_low_rate", "RMSE still", "tracking", "precision", "spread"):
+    told = ("vanilla", "framed_low_rate", "RMSE still", "tracking", "gaze", "precision", "spread")
+    for words in (*told, "operating points", "on the front", "gold standard's own error"):
         assert words in text
     rows = json.loads((tmp_path / "tradeoff.json").read_text())["toy_car"]
     assert {r["technique"] for r in rows} == {"vanilla", "framed_low_rate"}
@@ -197,6 +202,7 @@ def test_the_command_writes_table_csv_json_and_plot_and_goes_on_where_it_was(
         ("--budget", "lots", "--budget"),
         ("--rate", "fast", "--rate"),
         ("--frames", "0", "tradeoff"),
+        ("--gaze", "left", "--gaze"),
     ],
 )
 def test_wrong_options_are_one_line(option: str, value: str, words: str, capsys: pytest.CaptureFixture[str]) -> None:
