@@ -7,8 +7,13 @@ from typing import Any
 
 from renderers.catalogue import CATALOGUE
 
-COSTS: Mapping[str, str] = {"ms_per_refresh": "ms a refresh", "primary_per_s": "primary rays a second"}
-"""Column of a cost -> its words. Time is this machine's; rays are what the papers count."""
+COSTS: Mapping[str, str] = {
+    "ms_per_refresh": "ms a refresh",
+    "cpu_ms_per_refresh": "ms of CPU a refresh",
+    "primary_per_s": "primary rays a second",
+}
+"""Column of a cost -> its words. Times are this machine's (the CPU's, over all cores, suffers less from what else it
+does); rays are what the papers count."""
 CLEARLY = 0.02
 """A point is dominated by one that is nowhere worse and by this share better in cost or error; less is noise."""
 
@@ -50,8 +55,8 @@ def judged(rows: Sequence[Row]) -> list[dict[str, Any]]:
 
 
 def lines(rows: Sequence[Row]) -> str:
-    """Two lines a technique: what its operating point errs (display codes) at which cost, and whether it is on the
-    front of time and of rays."""
+    """Three lines a technique: what its operating point errs (display codes) at which cost, and whether it is on the
+    front of time, of CPU time and of rays."""
     out = []
     for row in operating_points(rows):
         error = error_column(row["technique"])

@@ -10,7 +10,9 @@ import hashlib
 import itertools
 import json
 import math
+import os
 import statistics
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from fractions import Fraction
@@ -42,7 +44,7 @@ _STATELESS_WARM_UP = 4
 _SETTLED = 16  # frames after which kernels, caches and the clamp of early history no longer show in the time
 _PRECISION_STEP = 4  # what storing adds is taken from every fourth refresh
 _GOLD_SEED = 0x601D
-_MEASURE = 2
+_MEASURE = 3
 """Raised where rows are measured in another way than before: old rows are then not found again."""
 
 
@@ -120,14 +122,15 @@ def gold_standard(engine: Engine, camera: CameraPath, c: Conditions, progress: C
 class Shown:
     """What a setting showed of the compared refreshes, and what it cost.
 
-    ``colors``: (n, H, W, 3) linear float32, one entry a refresh (a held frame is there several times). ``seconds`` of
-    every frame that was made once kernels and caches were warm, in the warm-up too (at least one). ``made_share``:
-    frames that were made, of all that were due. ``rays``: by kind, a frame that was due. ``stages_s``: the seconds of
-    each stage, of a few frames more.
+    ``colors``: (n, H, W, 3) linear float32, one entry a refresh (a held frame is there several times). ``seconds`` and
+    ``cpu_seconds`` (of this process, all threads) of every frame that was made once kernels and caches were warm, in
+    the warm-up too (at least one). ``made_share``: frames that were made, of all that were due. ``rays``: by kind, a
+    frame that was due. ``stages_s``: the seconds of each stage, of a few frames more.
     """
 
     colors: list[np.ndarray]
     seconds: list[float]
+    cpu_seconds: list[float]
     made_share: float
     rays: dict[str, float]
     stages_s: dict[str, list[float]]
@@ -155,26 +158,40 @@ def shown_by(
     end = math.ceil(total / per_content)
     views = _views(camera, c, setting.rate_hz, itertools.count(start), exposure)
     colors: list[np.ndarray] = []
-    cost: list[tuple[float, Mapping[str, int]]] = []
+    cost: list[_Cost] = []
     first_compared = 0
     for k, view in zip(range(start, end), views, strict=False):
+        cpu_s = time.process_time()
         frame = technique.render(view)
-        cost.append((frame.seconds["total"], dict(frame.rays)))
+        cost.append(_Cost(k, frame.seconds["total"], time.process_time() - cpu_s, dict(frame.rays)))
         refreshes = range(max(math.ceil(k * per_content), c.warm_up_frames), math.ceil((k + 1) * per_content))
         held = len([r for r in refreshes if r < total])
         colors += [np.array(frame.color, np.float32)] * held
         first_compared += not held
-    # a frame may be held for longer than all that is compared: then all that was rendered tells the cost
-    due = cost[first_compared:] if any(seconds > 0 for seconds, _ in cost[first_compared:]) else cost
-    made = [seconds for seconds, _ in cost if seconds > 0]
-    warm = [seconds for seconds, _ in cost[min(first_compared, _SETTLED) :] if seconds > 0]
+    made = [one for one in cost if one.seconds > 0]
+    warm = [one for one in cost[min(first_compared, _SETTLED) :] if one.seconds > 0] or made[-1:]
+    compared = [one for one in cost[first_compared:] if one.seconds > 0]
+    share = len(compared) / (len(cost) - first_compared)
+    if not compared:  # held for longer than all that is compared: made as often as from one frame to the next
+        compared, share = made[-1:], (len(made) - 1) / (made[-1].frame - made[0].frame) if len(made) > 1 else 0.0
     return Shown(
         colors=colors,
-        seconds=warm or made[-1:],
-        made_share=sum(seconds > 0 for seconds, _ in due) / len(due),
-        rays={kind: sum(rays[kind] for _, rays in due) / len(due) for kind in due[0][1]},
+        seconds=[one.seconds for one in warm],
+        cpu_seconds=[one.cpu_seconds for one in warm],
+        made_share=share,
+        rays={kind: share * statistics.fmean(one.rays[kind] for one in compared) for kind in compared[0].rays},
         stages_s=_stages(technique, views, stage_frames),
     )
+
+
+@dataclass(frozen=True)
+class _Cost:
+    """What frame number ``frame`` took; 0 s where it was held."""
+
+    frame: int
+    seconds: float
+    cpu_seconds: float
+    rays: dict[str, int]
 
 
 def _stages(technique: Technique, views: Iterator[View], frames: int) -> dict[str, list[float]]:
@@ -217,8 +234,9 @@ def measure_setting(
     pictures = np.array([display_values(color, gold.exposure).astype(np.float32) for color in shown.colors])
     error = gold.comparison.error(pictures)
     # held frames cost nothing: the mean over refreshes is what a budget means
-    ms_content = statistics.median(shown.seconds) * 1e3
+    ms_content, cpu_ms = (statistics.median(taken) * 1e3 for taken in (shown.seconds, shown.cpu_seconds))
     hz = float(setting.rate_hz)
+    made_a_refresh = shown.made_share * float(setting.rate_hz / c.rate_hz)
     few = slice(None, None, _PRECISION_STEP)
     precision = precision_errors(shown.colors[few], gold.values[few], gold.exposure)
     return {
@@ -229,7 +247,9 @@ def measure_setting(
         "content_hz": float(setting.rate_hz),
         "ms_per_content_frame": ms_content,
         "ms_p95": float(np.quantile(shown.seconds, 0.95)) * 1e3,
-        "ms_per_refresh": ms_content * shown.made_share * float(setting.rate_hz / c.rate_hz),
+        "ms_per_refresh": ms_content * made_a_refresh,
+        "cpu_ms_per_refresh": cpu_ms * made_a_refresh,
+        "load_per_core": os.getloadavg()[0] / (os.cpu_count() or 1),
         "primary_per_s": shown.rays["primary"] * hz,
         "rays_per_s": sum(shown.rays.values()) * hz,
         "rays": {kind: number * float(setting.rate_hz / c.rate_hz) for kind, number in shown.rays.items()},

@@ -15,6 +15,7 @@ from renderers.tradeoff import pareto_front
 _COLUMNS = (
     ("setting", "label", "{}"),
     ("ms", "ms_per_refresh", "{:.2f}"),
+    ("CPU ms", "cpu_ms_per_refresh", "{:.1f}"),
     ("/vanilla", "ratio_to_vanilla", "{:.2f}"),
     ("Mrays/s", "rays_per_s", "{:.2f}"),
     ("primary/s", "primary_per_s", "{:.3g}"),
@@ -26,6 +27,7 @@ _COLUMNS = (
     ("flicker", "flicker", "{:.2f}"),
 )
 _CODES = {"rmse_still", "rmse_tracking", "rmse_gaze", "flicker"}  # shown in display codes, x 255
+_BUSY = 1.5  # a run alone loads each core by about 1
 _PERCEPTUAL = {"jod": "JOD", "jod_gaze": "JOD gaze"}
 _COLORS = (*(f"C{k}" for k in range(10)), "black", "gold", "navy")
 _MARKERS = "osD^v<>pPX*hd"
@@ -78,6 +80,17 @@ def gold_error(rows: Sequence[Mapping[str, Any]]) -> str:
     """What the gold standard itself errs by, in words: it is part of every error measured against it."""
     own = [row["gold_rmse"] for row in rows if row.get("gold_rmse") is not None]
     return f"{own[0] * 255:.2f}" if own else "not known from one sample"
+
+
+def busy(rows: Sequence[Mapping[str, Any]]) -> str:
+    """A warning where the machine did much else while the rows were measured; '' where not."""
+    load = max(row["load_per_core"] for row in rows)
+    if load <= _BUSY:
+        return ""
+    return (
+        f"the machine was busy (load {load:.1f} a core): ms of a refresh are not its own; go by CPU ms and rays, "
+        "or measure anew with --fresh"
+    )
 
 
 def equal_cost(rows: Sequence[Mapping[str, Any]], cost: str, limit: float) -> list[Mapping[str, Any]]:

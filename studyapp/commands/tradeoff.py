@@ -162,6 +162,8 @@ def run(args: argparse.Namespace) -> int:
         for name, rows in by_scene.items():
             print(f"\n{name}, {args.size} at {args.rate} Hz, errors x 255 against {args.spp} spp (*: on the front)")
             print(f"the gold standard's own error, from its two halves: {tradeoff_report.gold_error(rows)}")
+            if warning := tradeoff_report.busy(rows):
+                print(warning)
             print(tradeoff_report.table(rows))
             print("\noperating points: error x 255 (followed gaze: as far as it is resolved), cost, and the front")
             print(operating_points.lines(rows))

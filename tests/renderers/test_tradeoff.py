@@ -73,6 +73,13 @@ def test_a_row_holds_cost_rays_and_the_errors_of_both_eyes(measured: list[dict[s
     json.dumps(measured)  # complete and plain
 
 
+def test_the_processors_time_is_told_too_and_a_busy_machine_is_said(measured: list[dict[str, Any]]) -> None:
+    assert all(0 < found["cpu_ms_per_refresh"] < 1000 * found["ms_p95"] for found in measured)
+    calm = [{**found, "load_per_core": 1.0} for found in measured]
+    assert tradeoff_report.busy(calm) == ""
+    assert "load 5.0 a core" in tradeoff_report.busy([*calm, {**measured[0], "load_per_core": 5.0}])
+
+
 def test_a_held_frame_is_further_off_than_one_at_every_refresh(measured: list[dict[str, Any]]) -> None:
     vanilla, held, _ = measured
     assert held["rmse_tracking"] > vanilla["rmse_tracking"]
@@ -85,7 +92,7 @@ def test_a_frame_that_is_held_throughout_still_tells_what_it_costs() -> None:
     few = replace(SMALL, frames=4, warm_up_frames=8)
     shown = tradeoff.shown_by(engine, camera, held, 1.0, few, 1)
     assert all(np.array_equal(color, shown.colors[0]) for color in shown.colors)  # refreshes 8 to 11 show frame 6
-    assert shown.made_share == 2 / 12
+    assert shown.made_share == 1 / 6
     assert shown.rays["primary"] == 40 * 24 / 6
     assert shown.seconds and min(shown.seconds) > 0  # noqa: PT018
     assert set(shown.stages_s) >= {"trace"}
