@@ -261,6 +261,9 @@ def _family_rows(result: Result) -> list[int]:
     if result.test.effects and "effect" in result.table:
         wanted = set(result.test.effects)
         return [i for i, effect in enumerate(result.table["effect"]) if effect in wanted]
+    if result.test.test == "cumulative_link" and "term" in result.table:
+        # thresholds are no hypotheses
+        return [i for i, term in enumerate(result.table["term"]) if "|" not in str(term)]
     return list(range(len(result.table)))
 
 
