@@ -224,4 +224,6 @@ def scene_rows(
             more = search.tuned_to_equal_rays(rows, conditions.size_px, conditions.rate_hz)
             bar.total = conditions.frames + len(settings) + len(more)
             rows += [measured(setting) for setting in more]
+        if not made:
+            bar.update(conditions.frames)  # no gold standard was needed
     return operating_points.judged(tradeoff_report.with_ratios(rows))
