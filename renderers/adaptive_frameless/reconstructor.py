@@ -13,7 +13,7 @@ from numba import njit, prange
 
 from renderers.adaptive_frameless import buffers as c
 from renderers.adaptive_frameless.buffers import Buffers
-from renderers.adaptive_frameless.splats import Filter, Scenery, Splats
+from renderers.adaptive_frameless.splats import EXPONENT, Filter, Scenery, Splats
 from renderers.adaptive_frameless.tiling import tile_area
 
 MOST_SIZE_PX = 32.0
@@ -23,16 +23,25 @@ FEW, MANY, GROW, SHRINK = 4, 32, 4.0, 0.7
 
 @njit(cache=True)
 def extents(
-    gx: float, gy: float, gt: float, volume: float, most_px: float, least_s: float, most_s: float
+    gx: float,
+    gy: float,
+    gt: float,
+    volume: float,
+    most_px: float,
+    least_s: float,
+    most_s: float,
+    fill_s: float = 0.0,
+    fill_age_s: float = math.inf,
 ) -> tuple[float, float, float]:
     """e_x, e_y (px), e_t (s) that span equal colour changes and the volume e_x e_y e_t = V (section 5.1).
 
     e_t is held within [least_s, most_s] first, and e_x, e_y then share what volume is left; they stay within
-    [1, most_px]. Gradients must be above 0.
+    [1, most_px]. Gradients must be above 0. ``fill_s``: the seconds of sampling that the first fill is worth; it
+    counts by the weight that its age has.
     """
     et = (volume * gx * gy / (gt * gt)) ** (1.0 / 3.0)
     et = min(max(et, least_s), most_s)
-    area = volume / et
+    area = volume / (et + fill_s * math.exp(-EXPONENT * (fill_age_s / et) ** 2))
     ex = min(max(math.sqrt(area * gy / gx), 1.0), most_px)
     ey = min(max(math.sqrt(area * gx / gy), 1.0), most_px)
     return ex, ey, et
@@ -53,7 +62,7 @@ def filter_map(b: Buffers, width: int, f: Filter, out: np.ndarray) -> None:
         widest = float(max(n[c.X1] - n[c.X0], n[c.Y1] - n[c.Y0], 1))
         ex, ey, et = extents(
             max(gx, f.least_spatial), max(gy, f.least_spatial), max(gt, f.least_temporal), volume, widest,
-            f.refresh_s, f.most_extent_s,
+            f.refresh_s, f.most_extent_s, volume / f.volume, f.fill_age_s,
         )  # fmt: skip
         for y in range(n[c.Y0], n[c.Y1]):
             for x in range(n[c.X0], n[c.X1]):

@@ -23,7 +23,8 @@ EXPONENT = 4.5
 
 
 class Filter(NamedTuple):
-    """How filters are sized; see `renderers.parameters.AdaptiveFrameless`."""
+    """How filters are sized; see `renderers.parameters.AdaptiveFrameless`. ``fill_age_s``: of the first fill's samples,
+    infinite when the stream has begun to lose them."""
 
     samples_per_s: float
     volume: float
@@ -34,6 +35,7 @@ class Filter(NamedTuple):
     tail: float
     depth_tolerance: float
     reproject: bool
+    fill_age_s: float = math.inf
 
 
 class Scenery(NamedTuple):

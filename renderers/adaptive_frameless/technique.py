@@ -82,6 +82,7 @@ class AdaptiveFrameless:
         """Start anew; the same views then give the same frames."""
         self._rng = np.random.Generator(np.random.Philox(np.random.SeedSequence(seed)))
         self._clock = SampleClock(self.params.samples_per_s / SAMPLES_PER_VISIT)
+        self._filled_s = 0.0
         self.sampler: Sampler | None = None
         self.reconstructor: Reconstructor | None = None
 
@@ -94,6 +95,7 @@ class AdaptiveFrameless:
         rows = np.zeros((pixels, IN), np.float32)
         rows[:, 0], rows[:, 1] = pixel_centres(order, self.size_px[0])
         found = self._rays.trace(state, rows, int(self._rng.integers(1 << 32)))
+        self._filled_s = now_s
         self.sampler.first_fill(now_s, found[inverse_order(order)])
         return found.sum(axis=0, dtype=np.float64), pixels
 
@@ -153,6 +155,7 @@ class AdaptiveFrameless:
             tail=p.filter_tail,
             depth_tolerance=1.0 + p.depth_tolerance if p.depth_tolerance > 0 else np.inf,
             reproject=p.reproject,
+            fill_age_s=poses.t1_s - self._filled_s if b.number[c.PUT] <= len(b.stream_t) else math.inf,
         )
         movers = np.ascontiguousarray(poses.movers[:, -1])
         scenery = Scenery(poses.camera[-1], movers, poses.window, poses.lens, poses.t1_s)

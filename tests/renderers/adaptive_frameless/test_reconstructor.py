@@ -133,6 +133,16 @@ def test_extents_span_equal_changes_and_keep_the_volume() -> None:
     assert ex * 0.02 == pytest.approx(et * 0.3)
 
 
+def test_the_first_fill_counts_as_a_sample_a_pixel_while_it_is_young() -> None:
+    rate = 1e-3  # samples a pixel and second: a filter's four samples would take an hour, or all of a tile
+    alone = extents(0.02, 0.02, 0.01, 4.0 / rate, 64.0, 1 / 60, 10.0)
+    beside = extents(0.02, 0.02, 0.01, 4.0 / rate, 64.0, 1 / 60, 10.0, 1.0 / rate, 0.1)
+    old = extents(0.02, 0.02, 0.01, 4.0 / rate, 64.0, 1 / 60, 10.0, 1.0 / rate, 40.0)
+    assert alone[0] * alone[1] == pytest.approx(4.0 / rate / 10.0)
+    assert beside[0] * beside[1] == pytest.approx(4.0, rel=0.02)
+    assert old == pytest.approx(alone)
+
+
 @pytest.mark.parametrize("gradients", [(1 / 255, 1 / 255, 0.01), (10.0, 1e-3, 100.0), (1e-3, 10.0, 1e-2)])
 def test_extents_stay_within_their_limits(gradients) -> None:
     ex, ey, et = extents(*gradients, 0.65, 8.0, 1 / 60, 1.0)
