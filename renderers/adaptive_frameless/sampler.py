@@ -1,4 +1,5 @@
-"""The sampler's loop: a chunk of visits is planned, traced by its owner and taken in; then the tiling is adjusted.
+"""The sampler's loop: a launch of visits is planned, traced by its owner, and taken in chunk by chunk; after each chunk
+the tiling is adjusted.
 
 Compiled code; a change in a module it calls needs a new compilation here (see `compiled`).
 """
