@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from renderers.backend import dr, mi
+from renderers.backend import dr, is_cuda, mi
 from renderers.eccentricity import EyePlane, eye_plane
 from renderers.engine import LARGEST, Engine, EngineState
 from renderers.eye_angles import pixel_eccentricity_deg, plane_values
@@ -23,9 +23,9 @@ from renderers.foveated.eyes import Eyes
 from renderers.foveated.mesh_blocks import SIZES, BlockMesh, blocks_of, flat_blocks
 from renderers.foveated.post_filter import filter_light
 from renderers.foveated.reprojection import look, mark
+from renderers.foveated.span_rasteriser import make_rasteriser
 from renderers.foveated.support import IS_TEXEL, SupportGrid, extract, move
 from renderers.frozen import frozen, opaque_float, opaque_uint
-from renderers.gl.context import MeshRasteriser
 from renderers.parameters import Foveated as FoveatedParameters
 from renderers.parameters import Vanilla as VanillaParameters
 from renderers.pixels import tile_order
@@ -77,7 +77,7 @@ class Foveated:
         self._vertices = (opaque_float(x), opaque_float(y), opaque_uint(texel))
         self._blocks = BlockMesh(grid)
         self._block = {size: opaque_uint(np.arange(math.prod(blocks_of(grid, size)))) for size in SIZES}
-        self._rasteriser = MeshRasteriser(size_px, *grid.mesh)
+        self._rasteriser = make_rasteriser(params.rasteriser, is_cuda(), size_px, *grid.mesh)
         self._watch = Stopwatch(measure, dr.sync_thread)
         self._kernels = {
             kernel.__name__: frozen(kernel)

@@ -14,6 +14,7 @@ import numpy as np
 
 from renderers.backend import dr, mi
 from renderers.frozen import aligned
+from stimuli.errors import InputError, problem
 
 NEAR = 1e-3
 """The near plane, tracer units."""
@@ -29,14 +30,18 @@ def standalone_context() -> moderngl.Context:
 class MeshRasteriser:
     """Draws a grid mesh of ``columns`` x ``rows`` vertices into ``size_px``; `close` frees its context.
 
-    On llvmpipe its cost is the number of triangles and the length of their edges: at 1182x1464 half as many a side take
-    half the time (so flat blocks are drawn whole: `renderers.foveated.mesh_blocks`), a target of half the size 0.9 of
-    it; RG32F, RG16, RG32UI and RGBA32F differ by less than a third (35, 34, 40, 46 ms).
+    InputError where there is no OpenGL without a window. On llvmpipe its cost is the number of triangles and the length
+    of their edges: at 1182x1464 half as many a side take half the time (so flat blocks are drawn whole:
+    `renderers.foveated.mesh_blocks`); RG32F, RG16, RG32UI and RGBA32F differ by less than a third (35, 34, 40, 46 ms).
     """
 
     def __init__(self, size_px: tuple[int, int], columns: int, rows: int) -> None:
         self.size_px = size_px
-        self.gl = standalone_context()
+        try:
+            self.gl = standalone_context()
+        except Exception as error:  # moderngl raises nothing narrower
+            wanted = "an EGL driver (Debian: apt-get install libegl1 libgl1-mesa-dri), or rasteriser: numba"
+            raise InputError(problem("foveated", "rasteriser by moderngl", error, wanted)) from error
         shaders = files("renderers.gl")
         with self.gl:
             self._program = self.gl.program(
