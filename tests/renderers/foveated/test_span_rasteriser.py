@@ -1,4 +1,4 @@
-"""The depth mesh drawn in numba: every pixel once, projective values, the nearer surface, the near plane, OpenGL too."""
+"""The depth mesh drawn in numba: every pixel once, projective values, the nearer surface, near plane, OpenGL too."""
 
 from __future__ import annotations
 
