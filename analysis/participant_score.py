@@ -10,7 +10,9 @@ interval holds every c that is not rejected.
 What was compared, 20,000 null studies of 12 answers by each of 12 or 24 participants who differ by 0, 0.5 or 1 logit
 (and by 0 or 0.3 per scene): this test rejects 4.7 to 5.3 %; the likelihood ratio against chi-square 4.1 to 6.5 %, since
 it is conservative where the SD is 0 and liberal where it is not; the same against F(1, n - 1) 1.8 to 4.6 %; the
-robust score against chi-square 4.2 to 5.1 %.
+robust score against chi-square 4.2 to 5.1 %. The standard deviation is held where it is likeliest: taking its part out
+of the score with the observed information rejects 7.8 % of a dozen participants who do not differ, and with the
+expected one 5.0 to 7.4 % at coefficients of 1 and 2 logits, where this rejects 3.5 to 6.3 % (6,000 studies each).
 """
 
 from __future__ import annotations
@@ -117,11 +119,9 @@ class ParticipantScore:
             return math.nan
         theta, scores, information = found
         self.start = theta
-        at_edge = theta[-1] in (0.0, MAX_SD)
-        rest = [j for j in range(len(theta) - int(at_edge)) if j != k]
-        own = scores[:, k]
+        own, rest = scores[:, k], [j for j in range(len(theta) - 1) if j != k]
         if rest:
-            # what the other parameters take up of the score is theirs
+            # what the other coefficients take up of the score is theirs; the SD is held (see above)
             own = own - scores[:, rest] @ np.linalg.lstsq(information[np.ix_(rest, rest)], information[rest, k])[0]
         n, df = len(own), self.df(k)
         total, squares = float(own.sum()), float(own @ own)
