@@ -28,7 +28,7 @@ def error_column(technique: str) -> str:
 
 
 def dominating(row: Row, rows: Sequence[Row], cost: str, error: str) -> Row | None:
-    """The most accurate of the ``rows`` that dominate ``row``; None where it is on the front."""
+    """The most accurate of the ``rows`` that dominate ``row``; None where it is on their front."""
 
     def dominates(other: Row) -> bool:
         no_worse = other[cost] <= row[cost] and other[error] <= row[error]
@@ -42,29 +42,42 @@ def operating_points(rows: Sequence[Row]) -> list[Row]:
     return [row for row in rows if row["origin"] == "default"]
 
 
+def verdict(row: Row, rows: Sequence[Row], cost: str) -> tuple[Row | None, Row | None]:
+    """What dominates ``row`` among the rows of other techniques, and among those of its own; None: nothing does."""
+    error = error_column(row["technique"])
+    others = [other for other in rows if other["technique"] != row["technique"]]
+    own = [other for other in rows if other["technique"] == row["technique"]]
+    return dominating(row, others, cost, error), dominating(row, own, cost, error)
+
+
 def judged(rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """``rows``; those of operating points with ``dominated_by``: column of the cost -> label of what dominates, or None
-    on the front."""
+    """``rows``; those of operating points with ``dominated_by``: column of the cost -> label of the other technique's
+    setting that dominates, or None on the front of techniques."""
     found = []
     for row in rows:
-        error = error_column(row["technique"])
-        by = {cost: dominating(row, rows, cost, error) for cost in COSTS}
-        labels = {cost: None if other is None else other["label"] for cost, other in by.items()}
-        found.append({**row, "dominated_by": labels} if row["origin"] == "default" else dict(row))
+        if row["origin"] != "default":
+            found.append(dict(row))
+            continue
+        by = {cost: verdict(row, rows, cost)[0] for cost in COSTS}
+        found.append({**row, "dominated_by": {c: None if other is None else other["label"] for c, other in by.items()}})
     return found
 
 
 def lines(rows: Sequence[Row]) -> str:
     """Three lines a technique: what its operating point errs (display codes) at which cost, and whether it is on the
-    front of time, of CPU time and of rays."""
+    front of techniques by time, by CPU time and by rays; and whether settings of its own do better."""
     out = []
     for row in operating_points(rows):
         error = error_column(row["technique"])
         for place, (cost, words) in enumerate(COSTS.items()):
-            other = dominating(row, rows, cost, error)
-            verdict = "on the front"
-            if other is not None:
-                verdict = f"dominated by {other['label']}: {other[error] * 255:.2f} at {other[cost]:.4g}"
+            other, own = verdict(row, rows, cost)
+            said = "on the front" if other is None else f"dominated by {_told(other, error, cost)}"
+            if other is None and own is not None:
+                said += f" (tuned: {_told(own, error, cost)})"
             what = f"{row['technique']:<22} {row[error] * 255:6.2f}" if place == 0 else " " * 29
-            out.append(f"  {what} at {row[cost]:>9.4g} {words:<21}  {verdict}")
+            out.append(f"  {what} at {row[cost]:>9.4g} {words:<21}  {said}")
     return "\n".join(out)
+
+
+def _told(row: Row, error: str, cost: str) -> str:
+    return f"{row['label']}: {row[error] * 255:.2f} at {row[cost]:.4g}"

@@ -38,6 +38,14 @@ def test_time_and_rays_are_fronts_of_their_own() -> None:
     assert "dominated_by" not in judged([row("taa", 1, 1, 1.0)])[0]
 
 
+def test_a_better_setting_of_its_own_does_not_dominate_a_technique() -> None:
+    rows = [row("taa", 2, 100, 0.05, "default"), row("taa", 2, 100, 0.02), row("vanilla", 3, 100, 0.01)]
+    assert judged(rows)[0]["dominated_by"] == {**dict.fromkeys(operating_points.COSTS), "primary_per_s": "vanilla knob"}
+    lines = operating_points.lines(rows).splitlines()
+    assert "on the front (tuned: taa knob: 5.10 at 2)" in lines[0]
+    assert "dominated by vanilla knob: 2.55 at 100" in lines[2]
+
+
 def test_techniques_that_follow_the_gaze_are_judged_by_what_it_resolves() -> None:
     assert error_column("foveated") == error_column("polar") == "rmse_gaze"
     assert error_column("vanilla") == "rmse_eyes"
