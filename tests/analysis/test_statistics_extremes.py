@@ -29,7 +29,7 @@ likert_summary          o   o   ou  o   o   o   o   o   o   o   u   o   u   u
 describe                o   u   o   o   ou  o   o   o   o   u   o   o   u   u
 binomial_choice         o   o   o   o   o   o   o   o   o   o   o   o   u   u
 binomial_choice_table   o   z   z   o   t   o   o   o   o   z   o   o   u   u
-binomial_mixed          o   s   s   n   t   b   ou  s   o   s   o   o   u   u
+binomial_mixed          o   s   s   n   t   b   ou  s   o   s   o   ob  u   u
 bradley_terry           o   s   o   o   o   o   u   o   o   s   o   o   u   u
 bradley_terry_observers o   s   o   o   t   o   u   o   o   s   o   o   u   u
 thurstone               o   s   o   o   t   o   u   o   o   s   o   o   u   u
