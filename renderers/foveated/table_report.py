@@ -60,7 +60,7 @@ def plot(cells: Sequence[Cell], path: Path) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(13, 4.2), layout="constrained")
+    figure = Figure(figsize=(14, 4.6), layout="constrained")
     FigureCanvasAgg(figure)
     speed, stage_axes, error = figure.subplots(1, 3)
     scenes = list(dict.fromkeys(cell.scene for cell in cells))
@@ -81,7 +81,7 @@ def plot(cells: Sequence[Cell], path: Path) -> None:
     speed.axhline(1, color="0.6", lw=0.8)
     speed.set_xticks(range(len(scenes)), scenes, fontsize=8)
     speed.set_ylabel("times faster than full ray tracing")
-    speed.legend(fontsize=7, loc="upper left", bbox_to_anchor=(0.0, 0.9))
+    speed.legend(fontsize=7, ncols=2, loc="upper center", bbox_to_anchor=(0.5, -0.07))
     rows = [f"{cell.scene}\n{_WORDS[cell.setting]}" for cell in cells]
     left = [0.0] * len(cells)
     for n, stage in enumerate(_STAGES):
@@ -101,5 +101,5 @@ def plot(cells: Sequence[Cell], path: Path) -> None:
             error.stairs(cell.rmse_by_ring, RINGS_DEG, color=f"C{n}", ls=style, label=label, baseline=None)
     error.set_xlabel("eccentricity (degrees)")
     error.set_ylabel("RMSE (display values x 255)")
-    error.legend(fontsize=6)
+    error.legend(fontsize=6, loc="upper left", bbox_to_anchor=(1.0, 1.0))
     figure.savefig(path, dpi=110)

@@ -118,27 +118,14 @@ def _picture_file(args: argparse.Namespace, scene: Scene, what: str) -> Path:
     return out
 
 
-def _gaze(text: str | None) -> tuple[float, float] | None:
-    """'5,-6' -> (5.0, -6.0)."""
-    from stimuli.errors import InputError, problem
-
-    if text is None:
-        return None
-    try:
-        x, y = (float(part) for part in text.split(","))
-    except ValueError as error:
-        raise InputError(problem("--gaze", "direction", repr(text), "X,Y in degrees, as in 5,-6")) from error
-    return x, y
-
-
 def _write_view(args: argparse.Namespace, scene: Scene, camera: CameraPath) -> None:
     """Write what --view names, or of it what --show names."""
     from renderers.view_pictures import view_sheet
-    from studyapp.commands.tradeoff import rational, size
+    from studyapp.commands.tradeoff import gaze, rational, size
 
     out = _picture_file(args, scene, args.show or args.view)
     sheet = view_sheet(
-        scene, args.technique, args.view, camera, size_px=size(args.size), gaze=_gaze(args.gaze), show=args.show,
+        scene, args.technique, args.view, camera, size_px=size(args.size), gaze=gaze(args.gaze), show=args.show,
         scale=None if args.scale is None else float(rational(args.scale, "--scale")),
         start_s=rational(args.start or "1", "--start"), frames=args.frames,
     )  # fmt: skip

@@ -120,7 +120,7 @@ def test_debug_maps_of_a_headset_share_one_scale(tmp_path: Path) -> None:
         (["--view", "headset", "--technique", "polar", "--scale", "2"], "above 0, at most 1"),
         (["--view", "headset", "--technique", "polar", "--scale", "big"], "--scale"),
         (["--view", "monitor", "--technique", "polar", "--scale", "1/4"], "--size"),
-        (["--view", "headset", "--technique", "polar", "--gaze", "5"], "X,Y in degrees"),
+        (["--view", "headset", "--technique", "polar", "--gaze", "5"], "--gaze: direction: got '5'"),
         (["--view", "headset", "--technique", "polar", "--gaze", "nan,0", "--scale", "1/40"], "gaze"),
         (["--view", "headset", "--technique", "polar", "--scale", "1/40", "--show", "x"], "main | main.eccentricity"),
         (["--view", "monitor", "--technique", "vanilla", "--show", "marks"], "without debug pictures"),
