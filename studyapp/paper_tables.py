@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from fractions import Fraction
@@ -225,7 +226,7 @@ def _scenes(asked: Asked, default: Sequence[str]) -> list[tuple[Scene, CameraPat
         if not asked.scenes and name not in SCENES:
             source = find_scene(f"{name}.glb", Path.cwd())
             if source is None:
-                print(f"{name}: no {name}.glb here or below $STUDYAPP_ASSETS, left out")
+                print(f"{name}: no {name}.glb here or below $STUDYAPP_ASSETS, left out", file=sys.stderr)
                 continue
         assert source is not None
         scene = load_scene(source, animation=asked.animation)
