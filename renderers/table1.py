@@ -232,6 +232,7 @@ def plot(rows: Sequence[Mapping[str, Any]], c: Conditions, path: Path) -> None:
                     axes[i][j].plot(times, row["errors"], lw=1, label=row["label"])
             axes[i][j].set_title(f"{animation}, {budget / 1000:g}k samples/s", fontsize=9)
             axes[i][j].set_ylabel("RMS x 255")
-    axes[0][0].legend(fontsize=7)
+    lines, labels = axes[0][0].get_legend_handles_labels()
+    figure.legend(lines, labels, loc="outside upper center", ncols=3 if len(budgets) > 1 else 2, fontsize=8)
     figure.supxlabel("s")
     figure.savefig(path, dpi=110)

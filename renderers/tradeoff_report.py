@@ -114,7 +114,18 @@ def comparisons(rows: Sequence[Mapping[str, Any]]) -> str:
             f"    {row['label']:<58} {row['rmse_still'] * 255:6.2f} / {row['rmse_tracking'] * 255:6.2f}"
             for row in equal_cost(rows, cost, base[cost])
         ]
+        for eye in ("still", "tracking"):
+            better = beaten_by(rows, base, cost, f"rmse_{eye}")
+            lines.append(f"    its default is beaten for the {eye} eye by: {', '.join(better) or 'none'}")
     return "\n".join(lines)
+
+
+def beaten_by(rows: Sequence[Mapping[str, Any]], base: Mapping[str, Any], cost: str, error: str) -> list[str]:
+    """Other techniques with a row of less ``error`` than ``base`` at no more than its ``cost`` (5 % allowed for noise),
+    the best first."""
+    affordable = [row for row in rows if row[cost] <= 1.05 * base[cost] and row["technique"] != base["technique"]]
+    affordable.sort(key=lambda row: row[error])
+    return list(dict.fromkeys(row["technique"] for row in affordable if row[error] < base[error]))
 
 
 def precision(rows: Sequence[Mapping[str, Any]]) -> str:

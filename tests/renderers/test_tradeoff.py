@@ -47,6 +47,17 @@ def test_the_same_cost_compares_the_best_of_each() -> None:
     assert [r["label"] for r in tradeoff_report.equal_cost(rows, "ms_per_refresh", 2.0)] == ["b", "a"]
 
 
+def test_who_beats_a_technique_is_said_for_each_eye() -> None:
+    def row(technique: str, cost: float, still: float, tracking: float) -> dict[str, Any]:
+        return {"technique": technique, "cost": cost, "rmse_still": still, "rmse_tracking": tracking}
+
+    base = row("dense", 10.0, 5.0, 5.0)
+    rows = [base, row("dense", 10.0, 1.0, 1.0), row("taa", 10.4, 4.0, 6.0), row("dear", 11.0, 1.0, 1.0),
+            row("held", 9.0, 3.0, 5.0), row("taa", 8.0, 4.5, 4.5)]  # fmt: skip
+    assert tradeoff_report.beaten_by(rows, base, "cost", "rmse_still") == ["held", "taa"]
+    assert tradeoff_report.beaten_by(rows, base, "cost", "rmse_tracking") == ["taa"]
+
+
 @pytest.fixture(scope="module")
 def measured() -> list[dict[str, Any]]:
     scene = load_scene("toy_car")
