@@ -16,7 +16,7 @@ from stimuli import load_scene
 from stimuli.camera_path import read_camera_path
 from stimuli.scene import Scene
 from studyapp.flight_preview import FlightPreview
-from tests.stimuli.test_gltf import skinned
+from tests.stimuli.test_gltf_skins import skinned
 from tests.stimuli.test_preview import flag
 
 ROOT = Path(__file__).parents[2]
