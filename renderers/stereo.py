@@ -16,6 +16,16 @@ from stimuli.errors import InputError, problem
 from stimuli.scene import CameraPath
 
 
+def xfov_rad(yfov_rad: float, size_px: tuple[int, int]) -> float:
+    """Horizontal field of a picture of square pixels with the vertical field ``yfov_rad``."""
+    return 2 * math.atan(math.tan(yfov_rad / 2) * size_px[0] / size_px[1])
+
+
+def field_words(yfov_rad: float, size_px: tuple[int, int]) -> str:
+    """The field of a picture in whole degrees, across by up and down."""
+    return f"{math.degrees(xfov_rad(yfov_rad, size_px)):.0f} x {math.degrees(yfov_rad):.0f} degrees"
+
+
 @dataclass(frozen=True)
 class EyeCamera:
     """``path`` with another vertical field, moved ``right_m`` along its own x axis (world units)."""
@@ -44,7 +54,7 @@ class Headset:
     @property
     def xfov_rad(self) -> float:
         """Horizontal field."""
-        return 2 * math.atan(math.tan(self.yfov_rad / 2) * self.size_px[0] / self.size_px[1])
+        return xfov_rad(self.yfov_rad, self.size_px)
 
     def eyes(self, path: CameraPath) -> tuple[EyeCamera, EyeCamera]:
         """The left and the right eye's camera on ``path``."""

@@ -15,7 +15,7 @@ from renderers.catalogue import TECHNIQUES
 from renderers.clip_frames import scene_exposure, technique_params, view_at
 from renderers.debug_pictures import Shown, colored, require_maps, value_range
 from renderers.engine import Engine
-from renderers.stereo import DEFAULT_SCALE, headset_viewports
+from renderers.stereo import DEFAULT_SCALE, field_words, headset_viewports
 from renderers.technique import Gaze, Viewport
 from stimuli.encode import encode
 from stimuli.errors import InputError, problem
@@ -98,10 +98,8 @@ def view_sheet(
 
 
 def _words(v: Viewport) -> str:
-    """Size and field, in whole degrees, across by up and down."""
-    width, height = v.size_px
-    across = 2 * np.degrees(np.arctan(np.tan(v.yfov_rad / 2) * width / height))
-    return f"{width}x{height}, {across:.0f} x {np.degrees(v.yfov_rad):.0f} degrees"
+    """Size and field."""
+    return f"{v.size_px[0]}x{v.size_px[1]}, {field_words(v.yfov_rad, v.size_px)}"
 
 
 def _maps(

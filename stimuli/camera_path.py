@@ -154,6 +154,12 @@ def camera_path(scene: Scene, name_or_file: str | Path) -> CameraPath:
     return KeyedCamera(times_s, places, turns, scene.camera.yfov_rad, "interactive", interpolation="linear")
 
 
+def chosen_path(scene: Scene, name_or_file: str | Path | None) -> CameraPath:
+    """`camera_path`; where nothing was chosen, the file's own for a scene that moves, else one that sways, so that a
+    technique with a memory is seen in motion."""
+    return camera_path(scene, name_or_file or ("file" if scene.duration_s > 0 else "sway"))
+
+
 def camera_path_sha256(name_or_file: str | Path) -> str:
     """The identity of a path: a file's bytes, or a name with `PATH_VERSION` (the scene's own identity stands apart)."""
     name = str(name_or_file)

@@ -139,6 +139,7 @@ def weier2016(asked: Asked) -> int:
     from tqdm import tqdm
 
     from renderers.foveated import table, table_report
+    from renderers.stereo import field_words
     from stimuli.clip_request import ENGINE_VERSION
 
     c = table.Conditions(
@@ -163,8 +164,8 @@ def weier2016(asked: Asked) -> int:
     if not asked.as_json:
         width, height = c.picture_px
         print(
-            f"Table 1 of Weier et al. 2016: {width}x{height}, {table.field_words(c)}, gaze at the centre, "
-            f"{c.configuration}, {c.frames} frames a cell, ms are medians\n\n{table_report.table(cells)}\n\n"
+            f"Table 1 of Weier et al. 2016: {width}x{height}, {field_words(c.headset.yfov_rad, c.picture_px)}, "
+            f"gaze at the centre, {c.configuration}, {c.frames} frames a cell, ms are medians\n\n{table_report.table(cells)}\n\n"
             f"errors against full ray tracing by eccentricity (degrees)\n{table_report.rings(cells)}"
         )
     return _said(asked, "weier2016")
@@ -211,12 +212,9 @@ def herr2021(asked: Asked) -> int:
 
 
 def _scenes(asked: Asked, default: Sequence[str]) -> list[tuple[Scene, CameraPath]]:
-    """The scenes asked for with their camera paths; of the defaults, those that are there.
-
-    Where neither scene nor camera moves, the camera sways: a technique with a memory is measured in motion.
-    """
+    """The scenes asked for with their camera paths; of the defaults, those that are there."""
     from stimuli import load_scene
-    from stimuli.camera_path import camera_path
+    from stimuli.camera_path import chosen_path
     from stimuli.procedural import SCENES
     from studyapp.commands.check import find_scene
 
@@ -230,7 +228,7 @@ def _scenes(asked: Asked, default: Sequence[str]) -> list[tuple[Scene, CameraPat
                 continue
         assert source is not None
         scene = load_scene(source, animation=asked.animation)
-        found.append((scene, camera_path(scene, asked.path or ("file" if scene.duration_s > 0 else "sway"))))
+        found.append((scene, chosen_path(scene, asked.path)))
     return found
 
 

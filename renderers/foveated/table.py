@@ -138,13 +138,6 @@ def _radius(scene: Scene) -> float:
     return float(np.linalg.norm(points.max(axis=0) - points.min(axis=0)) / 2)
 
 
-def field_words(c: Conditions) -> str:
-    """The eye's field in whole degrees: across by up and down."""
-    half_y = math.tan(c.headset.yfov_rad / 2)
-    across = 2 * math.degrees(math.atan(half_y * c.picture_px[0] / c.picture_px[1]))
-    return f"{across:.0f} x {math.degrees(c.headset.yfov_rad):.0f} degrees"
-
-
 def key(scene_sha256: str, setting: Setting, camera: CameraPath, c: Conditions, version: int) -> str:
     """The identity of a cell's measurement."""
     told = [scene_sha256, setting, camera.name, repr(c), version]

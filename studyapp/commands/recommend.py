@@ -47,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
     from renderers.clip_frames import scene_exposure
     from renderers.engine import Engine
     from stimuli import load_scene
-    from stimuli.camera_path import camera_path
+    from stimuli.camera_path import chosen_path
     from studyapp.cli import JobFailed
     from studyapp.commands.tradeoff import rational, scene_rows, size
 
@@ -69,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
     settings = [setting for setting in settings if setting.rate_hz == rate]
     rows = scene_rows(args.scene, args, settings, conditions)
     scene = load_scene(args.scene, animation=args.animation)
-    camera = camera_path(scene, args.path or ("file" if scene.duration_s > 0 else "sway"))
+    camera = chosen_path(scene, args.path)
     engine = Engine(scene, lighting=args.lighting)
     exposure = scene_exposure(engine, camera, conditions.start_s)
     found = list(recommend.tried(engine, camera, rows, budget_ms, conditions, exposure, args.frames))

@@ -192,13 +192,13 @@ def scene_rows(
     from renderers import operating_points, search, tradeoff, tradeoff_report
     from renderers.engine import Engine
     from stimuli import load_scene
-    from stimuli.camera_path import camera_path
+    from stimuli.camera_path import chosen_path
     from stimuli.clip_request import ENGINE_VERSION
 
     scene = load_scene(name, animation=args.animation)
     for note in scene.notes:
         print(f"{scene.name}: {note}")
-    camera = camera_path(scene, args.path or ("file" if scene.duration_s > 0 else "sway"))
+    camera = chosen_path(scene, args.path)
     file = tradeoff.RowFile(args.out / "rows.jsonl")
     known = {} if args.fresh else dict(file.rows)
     columns = [column for column in ("jod", "jod_gaze") if getattr(args, column, False)]

@@ -11,10 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from protocols.records import GAZE_DTYPE
 from studyapp.clock import now_ns
 from studyapp.devices.clock_model import ClockFit, ClockModel
-from studyapp.devices.device import Batch, DeviceEvent, DeviceGone, DeviceSpec, silence_limit_s
+from studyapp.devices.device import Batch, DeviceEvent, DeviceGone, DeviceSpec, mapped_gaze, silence_limit_s
 from studyapp.gaze.calibration import gazepoint_commands
 
 DEFAULT_PORT = "127.0.0.1:4242"
@@ -151,8 +150,9 @@ class Gazepoint:
             events.append(DeviceEvent(host_ns, "malformed", {"bytes": self._records.malformed - self._malformed}))
             self._malformed = self._records.malformed
         self._last_ns = host_ns
-        gaze = np.array(rows, GAZE_DTYPE) if rows else np.zeros(0, GAZE_DTYPE)
-        return Batch(gaze=self._mapped(gaze, host_ns), events=tuple(events), news=tuple(news))
+        if self._fit is None or host_ns - self._fitted_ns > 1e9:
+            self._fit, self._fitted_ns = self._clock.fit(), host_ns
+        return Batch(gaze=mapped_gaze(rows, self._fit), events=tuple(events), news=tuple(news))
 
     def _sample(self, values: dict[str, str], host_ns: int) -> tuple[float, ...] | None:
         """One row; None where the record has neither stamp nor point."""
@@ -167,13 +167,6 @@ class Gazepoint:
         diameter_m = number(values, "LPUPILD")
         pupil_mm = diameter_m * 1e3 if diameter_m is not None else math.nan
         return (device_s, host_ns, 0, float(x_dva), float(y_dva), pupil_mm, valid, 0)
-
-    def _mapped(self, gaze: np.ndarray, host_ns: int) -> np.ndarray:
-        if self._fit is None or host_ns - self._fitted_ns > 1e9:
-            self._fit, self._fitted_ns = self._clock.fit(), host_ns
-        if len(gaze) and self._fit is not None:
-            gaze["mapped_ns"] = np.minimum(self._fit.session_ns_many(gaze["device_s"]), host_ns)
-        return gaze
 
     def calibrate(self, step: str, points: np.ndarray) -> dict[str, Any] | None:
         """Device-paced (see `studyapp.gaze.calibrate`): the server goes through the points by itself, and says each;
