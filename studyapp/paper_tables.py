@@ -166,7 +166,8 @@ def weier2016(asked: Asked) -> int:
         print(
             f"Table 1 of Weier et al. 2016: {width}x{height}, {field_words(c.headset.yfov_rad, c.picture_px)}, "
             f"gaze at the centre, {c.configuration}, {c.frames} frames a cell, ms are medians\n\n"
-            f"{table_report.table(cells)}\n\nerrors against full ray tracing by eccentricity (degrees)\n{table_report.rings(cells)}"
+            f"{table_report.table(cells)}\n\n"
+            f"errors against full ray tracing by eccentricity (degrees)\n{table_report.rings(cells)}"
         )
     return _said(asked, "weier2016")
 
