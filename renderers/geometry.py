@@ -19,13 +19,13 @@ from stimuli.scene import Material, Part, Scene
 class Body:
     """Triangles that move together and are traced together. ``mover`` 0 is the static scene, m is mover m - 1.
 
-    ``hidden`` bodies (see-through or cut-out materials) are never asked by shadow rays; ``deforms``: skinned meshes,
-    whose positions are those of time 0. ``positions`` (N, 3) float32 in the body's traced space, ``faces`` (F, 3)
-    uint32 into them, ``face_base`` the global number of face 0.
+    The first ``casting`` faces cast shadows; the others (see-through or cut-out materials) are never asked by shadow
+    rays. ``deforms``: skinned meshes, whose positions are those of time 0. ``positions`` (N, 3) float32 in the body's
+    traced space, ``faces`` (F, 3) uint32 into them, ``face_base`` the global number of face 0.
     """
 
     mover: int
-    hidden: bool
+    casting: int
     positions: np.ndarray
     faces: np.ndarray
     face_base: int
@@ -93,16 +93,15 @@ def _colors(part: Part, count: int) -> np.ndarray:
 
 
 def _deforming(bodies: list[Body], order: tuple[int, ...]) -> Deforming | None:
-    """The run of the bodies that deform (they follow one another)."""
+    """The run of the body that deforms."""
     if not order:
         return None
-    first = [body.deforms for body in bodies].index(True)
-    own = [body for body in bodies if body.deforms]
+    at = [body.deforms for body in bodies].index(True)
     return Deforming(
-        first_vertex=sum(len(body.positions) for body in bodies[:first]),
-        vertices=sum(len(body.positions) for body in own),
-        first_face=own[0].face_base,
-        faces=sum(len(body.faces) for body in own),
+        first_vertex=sum(len(body.positions) for body in bodies[:at]),
+        vertices=len(bodies[at].positions),
+        first_face=bodies[at].face_base,
+        faces=len(bodies[at].faces),
         order=order,
     )
 
@@ -126,34 +125,35 @@ def pack(scene: Scene, space: TracerSpace, needs: Requirements) -> Geometry:
     all_colors: list[np.ndarray] = []
     vertex_base = face_base = 0
     for mover, own, parts, deforms in groups:
-        for hidden in (False, True):
-            chosen = [k for k, p in enumerate(parts) if (is_see_through(p.material) or is_cutout(p.material)) == hidden]
-            positions, body_faces, start = [], [], vertex_base
-            for number in chosen:
-                part = parts[number]
-                vertices, faces = _part_arrays(part, own.points(part_points(part, scene.name)), scene.name)
-                if not len(faces):
-                    continue
-                if deforms:
-                    order.append(number)
-                if id(part.material) not in numbers:
-                    numbers[id(part.material)] = len(materials)
-                    materials.append(part.material)
-                body_faces.append(faces + vertex_base - start)
-                rows = np.empty((len(faces), 4), np.uint32)
-                rows[:, :3], rows[:, 3] = faces + vertex_base, numbers[id(part.material)]
-                all_faces.append(rows)
-                all_vertices.append(vertices)
-                positions.append(vertices[:, :3])
-                if needs.colors:
-                    all_colors.append(_colors(part, len(vertices)))
-                vertex_base += len(vertices)
-            if not positions:
+        # What casts shadows comes first.
+        hidden = [is_see_through(part.material) or is_cutout(part.material) for part in parts]
+        positions, body_faces, start, casting = [], [], vertex_base, 0
+        for number in sorted(range(len(parts)), key=hidden.__getitem__):
+            part = parts[number]
+            vertices, faces = _part_arrays(part, own.points(part_points(part, scene.name)), scene.name)
+            if not len(faces):
                 continue
-            joined = np.concatenate(body_faces)
-            numbered = joined.astype(np.uint32)
-            bodies.append(Body(mover, hidden, np.concatenate(positions), numbered, face_base, deforms))
-            face_base += len(joined)
+            if deforms:
+                order.append(number)
+            if id(part.material) not in numbers:
+                numbers[id(part.material)] = len(materials)
+                materials.append(part.material)
+            body_faces.append(faces + vertex_base - start)
+            casting += 0 if hidden[number] else len(faces)
+            rows = np.empty((len(faces), 4), np.uint32)
+            rows[:, :3], rows[:, 3] = faces + vertex_base, numbers[id(part.material)]
+            all_faces.append(rows)
+            all_vertices.append(vertices)
+            positions.append(vertices[:, :3])
+            if needs.colors:
+                all_colors.append(_colors(part, len(vertices)))
+            vertex_base += len(vertices)
+        if not positions:
+            continue
+        joined = np.concatenate(body_faces)
+        numbered = joined.astype(np.uint32)
+        bodies.append(Body(mover, casting, np.concatenate(positions), numbered, face_base, deforms))
+        face_base += len(joined)
     return Geometry(
         bodies=tuple(bodies),
         vertices=np.concatenate(all_vertices) if all_vertices else np.zeros((1, 8), np.float32),

@@ -88,11 +88,9 @@ def past_movers(
 
     Called inside kernels.
     """
+    scenes = tracer.casting(arrays)[1] if question.shadow else arrays.bodies
     make = shadow_asker if question.shadow else nearest_asker
-    askers: list[Asker] = [
-        _no_shadow if question.shadow and body.hidden else make(scene, question.coherent)
-        for body, scene in zip(tracer.bodies, arrays.bodies, strict=True)
-    ]
+    askers: list[Asker] = [_no_shadow if scene is None else make(scene, question.coherent) for scene in scenes]
     if tracer.uses_proxy:
         return _walk(tracer, arrays, poses, question, active, farthest, found, askers)
     for body, asker in zip(tracer.bodies, askers, strict=True):

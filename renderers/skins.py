@@ -34,14 +34,13 @@ def refuse_deforming(scene: Scene, technique: str) -> None:
 
 
 class Skins:
-    """The deforming meshes of a scene: ``scenes`` are the Mitsuba scenes of its bodies that deform, in order."""
+    """The deforming meshes of a scene: ``scenes`` are the Mitsuba scenes of the body that deforms."""
 
     def __init__(self, scene: Scene, space: TracerSpace, geometry: Geometry, scenes: list[Any]) -> None:
         assert geometry.deforming is not None
         self._scene, self._space, self._run = scene, space, geometry.deforming
         self._vertices = geometry.vertices.copy()
         self._values = [mi.traverse(made) for made in scenes]
-        self._sizes = [len(body.positions) for body in geometry.bodies if body.deforms]
         self._interval: tuple[float, float] | None = None
 
     def shape(self, time_s: float) -> np.ndarray:
@@ -70,7 +69,7 @@ class Skins:
         place = slice(run.first_vertex, run.first_vertex + run.vertices)
         self._vertices[place, :3], self._vertices[place, 4:7] = now[:, :3], now[:, 3:]
         arrays.vertices, arrays.before = opaque_float(self._vertices), opaque_float(before)
-        for values, part in zip(self._values, np.split(now[:, :3], np.cumsum(self._sizes)[:-1]), strict=True):
-            values["mesh.vertex_positions"] = opaque_float(part)
+        for values in self._values:
+            values["mesh.vertex_positions"] = opaque_float(now[:, :3])
             values.update()
         self._interval = t0_s, t1_s

@@ -30,12 +30,14 @@ __all__ = ["Hits", "RawHit", "SceneArrays", "Tracer"]
 class SceneArrays:
     """A PyTree of everything on the device that outlives a frame; handed into every kernel as part of the state.
 
-    ``still`` and ``bodies``: a Mitsuba scene for each of `Tracer.still` and `Tracer.bodies`. ``before``: (V, 4) float32
-    flat, where the vertices of skinned meshes were at t0; None without them.
+    ``still`` and ``bodies``: a Mitsuba scene for each of `Tracer.still` and `Tracer.bodies`. ``casting``: one more, of
+    the faces that cast shadows, for those of them with faces of both kinds. ``before``: (V, 4) float32 flat, where the
+    vertices of skinned meshes were at t0; None without them.
     """
 
     still: list[Any]
     bodies: list[Any]
+    casting: list[Any]
     proxy: Any
     boxes: Any
     body_mover: Any
@@ -80,9 +82,11 @@ class Tracer:
             proxy = _mesh_scene(np.zeros((8 * len(self.bodies), 3)), box_faces(len(self.bodies)))
             self._proxy_values = mi.traverse(proxy)
         colors = self.geometry.colors
+        mixed = [body for body in (*self.still, *self.bodies) if 0 < body.casting < len(body.faces)]
         self.arrays = SceneArrays(
             still=[_mesh_scene(body.positions, body.faces) for body in self.still],
             bodies=[_mesh_scene(body.positions, body.faces) for body in self.bodies],
+            casting=[_mesh_scene(body.positions, body.faces[: body.casting]) for body in mixed],
             proxy=proxy,
             boxes=opaque_float(np.zeros(8 * max(1, len(self.bodies)))),
             body_mover=opaque_uint([body.mover for body in self.bodies] or [0]),
@@ -92,6 +96,7 @@ class Tracer:
             colors=None if colors is None else opaque_float(colors),
         )
         deforming = [made for body, made in zip(self.still, self.arrays.still, strict=True) if body.deforms]
+        deforming += [made for body, made in zip(mixed, self.arrays.casting, strict=True) if body.deforms]
         self._skins = Skins(scene, self.space, self.geometry, deforming) if self.needs.deforming else None
         self._interval: tuple[float, ...] | None = None
         self._poses: Poses | None = None
@@ -131,6 +136,20 @@ class Tracer:
 
     # Called inside kernels ------------------------------------------------------------------------------------------
 
+    def casting(self, arrays: SceneArrays) -> tuple[list[Any], list[Any]]:
+        """What shadow rays ask for each of ``still`` and of ``bodies``; None where nothing casts shadows."""
+        extra = iter(arrays.casting)
+
+        def caster(body: Body, scene: Any) -> Any:
+            if body.casting < len(body.faces):
+                return next(extra) if body.casting else None
+            return scene
+
+        return (
+            [caster(body, scene) for body, scene in zip(self.still, arrays.still, strict=True)],
+            [caster(body, scene) for body, scene in zip(self.bodies, arrays.bodies, strict=True)],
+        )
+
     def nearest(
         self, arrays: SceneArrays, poses: Poses, o: Any, d: Any, time_s: Any, active: Any, coherent: bool,
         tmax: Any = dr.inf,
@@ -160,11 +179,11 @@ class Tracer:
         """Whether anything that casts shadows lies on ``o + t d``, 0 < t < tmax. ``coherent``: lanes go one way."""
         active = mi.Bool(active)
         blocked = mi.Bool(False)
-        for body, scene in zip(self.still, arrays.still, strict=True):
-            if not body.hidden:
+        for scene in self.casting(arrays)[0]:
+            if scene is not None:
                 ray = mi.Ray3f(o, d, tmax, 0.0, [])
                 blocked |= scene.ray_test(ray, coherent=coherent, active=active & ~blocked)
-        if all(body.hidden for body in self.bodies):
+        if not any(body.casting for body in self.bodies):
             return blocked
         question = Question(o, d, time_s, shadow=True, coherent=coherent)
         nearest, _ = past_movers(self, arrays, poses, question, active & ~blocked, mi.Float(tmax), ())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import gc
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from renderers import Tracer, render_clip
+from renderers.backend import dr, mi
 from renderers.catalogue import TECHNIQUES
 from renderers.clip_frames import technique_params, view_at
 from renderers.engine import Engine
@@ -19,7 +20,7 @@ from renderers.frozen import frozen
 from renderers.vanilla import frame_lanes
 from stimuli import load_scene
 from stimuli.errors import InputError
-from stimuli.scene import Light, Scene, scene_at
+from stimuli.scene import Light, Scene, Skin, VertexTrack, scene_at
 from tests.renderers.float64_tracer import nearest, world_triangles
 from tests.renderers.scenes_by_hand import diffuse, look_at, quad
 from tests.stimuli.tiny_glb import TinyGlb
@@ -85,6 +86,17 @@ def bending(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     )  # fmt: skip
 
 
+@dataclass(frozen=True)
+class Before:
+    """Another mesh's vertices, one unit nearer to the eye and half a unit to the left."""
+
+    inner: VertexTrack
+
+    def vertices(self, time_s: float) -> tuple[np.ndarray, np.ndarray | None]:
+        positions, normals = self.inner.vertices(time_s)
+        return positions + np.array([-0.5, 0, 1]), normals
+
+
 def rays(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(seed)
     origin = np.tile([0.0, 1.0, 5.0], (200, 1))
@@ -113,6 +125,27 @@ def test_rays_hit_the_bar_as_it_is_bent_at_their_own_time(bending: Scene) -> Non
             smooth = np.array([1 - u - v, u, v]) @ normals[faces[face]]
             np.testing.assert_allclose(hits.normal[k], smooth / np.linalg.norm(smooth), atol=1e-4)
     assert on_bar > 40
+
+
+def test_shadows_follow_the_bending_bar_and_pass_through_one_of_glass(bending: Scene) -> None:
+    """Two skinned meshes: the bar, and the same of glass, before it."""
+    glass = replace(bending.static[0], material=diffuse(transmission=0.5))
+    skin = bending.skins[0]
+    both = replace(bending, static=(bending.static[0], glass), skins=(skin, Skin(1, Before(skin.track))))
+    origin, direction = rays()
+    tracer = Tracer(both)
+    for time_s in (0.0, 1.0, 0.3):
+        tracer.trace(origin, direction, time_s)  # the shapes of that time
+        d = (direction / np.linalg.norm(direction, axis=1, keepdims=True)).astype(np.float32)
+        o = tracer.space.points(origin).astype(np.float32)
+        blocked = tracer.occluded(
+            tracer.arrays, tracer.poses(np.zeros(1)), mi.Point3f(o.T), mi.Vector3f(d.T), dr.zeros(mi.Float, 200),
+            True, mi.Float(dr.inf),
+        )  # fmt: skip
+        positions, _ = bent(time_s)
+        own = np.array([np.isfinite(nearest(positions[bar()[2]], a, b)[0]) for a, b in zip(origin, d, strict=True)])
+        assert 20 < own.sum() < 180
+        np.testing.assert_array_equal(np.array(blocked), own)
 
 
 @pytest.mark.parametrize("technique", ["vanilla", "reference", "taa", "temporally_dense", "checkerboard"])

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from renderers import Tracer
+from renderers.backend import dr, mi
 from stimuli import load_scene
 from stimuli.errors import InputError
 from stimuli.scene import Mover, Scene
 from tests.renderers.float64_tracer import nearest, world_triangles
-from tests.renderers.scenes_by_hand import Scaled, box, crowd, diffuse, quad, scene
+from tests.renderers.scenes_by_hand import Drift, Scaled, box, crowd, diffuse, quad, scene
 
 
 def rays(count: int, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
@@ -81,6 +82,28 @@ def test_scale_and_place_of_the_world_change_nothing(scale: float, offset: float
     assert same.mean() > 0.99
     np.testing.assert_allclose(a.normal[same], b.normal[same], atol=1e-4)
     np.testing.assert_array_equal(a.mover[same], b.mover[same])
+
+
+@pytest.mark.parametrize("movers", [0, 1, 3, 6])
+def test_rays_meet_glass_and_shadow_rays_pass_through_it(movers: int) -> None:
+    """Both kinds in one body: still, or in each of some movers (few of them all asked, many by their boxes)."""
+    glass, wood = diffuse(transmission=0.5), diffuse()
+    panes = tuple(quad((k, 0, 0), (0.8, 0, 0), (0, 0.8, 0), glass if k % 2 else wood) for k in range(12))
+    still = panes if not movers else ()
+    groups = tuple(
+        Mover(f"{m}", panes[m * 12 // movers : (m + 1) * 12 // movers], Drift((0, 0, 0), (0, 0, 0), 0))
+        for m in range(movers)
+    )
+    tracer = Tracer(scene(still, groups))
+    assert tracer.uses_proxy == (movers > 4)
+    origin = np.stack([np.arange(12) + 0.4, np.full(12, 0.3), np.full(12, 2.0)], 1)
+    hits = tracer.trace(origin, np.tile([0.0, 0, -1], (12, 1)))
+    np.testing.assert_allclose(hits.t, 2.0, rtol=1e-6)
+    poses = tracer.poses(np.array([0.0, 1 / 60]))
+    o = mi.Point3f(tracer.space.points(origin).astype(np.float32).T)
+    d, time_s = mi.Vector3f(0, 0, -1), dr.zeros(mi.Float, 12)
+    blocked = tracer.occluded(tracer.arrays, poses, o, d, time_s, True, mi.Float(dr.inf))
+    np.testing.assert_array_equal(np.array(blocked), np.arange(12) % 2 == 0)
 
 
 def test_a_mover_is_there_only_in_its_seconds() -> None:
