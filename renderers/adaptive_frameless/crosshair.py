@@ -21,21 +21,6 @@ _LEAST_ARM_PX = 0.25
 
 
 @inlined
-def display_luma(red: float, green: float, blue: float, exposure: float) -> float:
-    """0.299 R + 0.587 G + 0.114 B of the sRGB values that the exposed linear colour is shown with (0 to 1)."""
-    return 0.299 * _shown(red * exposure) + 0.587 * _shown(green * exposure) + 0.114 * _shown(blue * exposure)
-
-
-@inlined
-def _shown(value: float) -> float:
-    if value >= 1.0:
-        return 1.0
-    if value <= 0.0031308:
-        return max(0.0, 12.92 * value)
-    return float(1.055 * value ** (1 / 2.4) - 0.055)
-
-
-@inlined
 def blended(knots: np.ndarray, span_s: float, time_s: float, out: np.ndarray) -> None:
     """Write the (3, 4) pose at ``time_s`` (after t1, so not positive) between the knots (K, 3, 4) to ``out``."""
     last = len(knots) - 1

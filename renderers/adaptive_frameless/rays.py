@@ -27,6 +27,7 @@ RED, GREEN, BLUE, LOCAL_X, LOCAL_Y, LOCAL_Z, MOVER, VISIBLE = range(8)
 COUNTED = ("shadow", "ambient_occlusion", "reflection", "transmission", "probe")
 FIRST_COUNT = 8
 CLAMPED = FIRST_COUNT + len(COUNTED)
+LUMA = CLAMPED + 1
 FAR = 1000.0
 """Where the background is taken to be, in tracer units (the scene's radius is below 2)."""
 
@@ -128,7 +129,7 @@ class FramelessRays:
         """How often the kernel was recorded."""
         return self._kernel.recordings
 
-    def _trace(self, state: EngineState, lane: Any, rows: Any, seed: Any, out: Any) -> Any:
+    def _trace(self, state: EngineState, lane: Any, rows: Any, seed: Any, exposure: Any, out: Any) -> Any:
         """``lane``: each lane's row, in whatever order."""
         first = dr.gather(mi.Vector4f, rows, lane * 2)
         second = dr.gather(mi.Vector4f, rows, lane * 2 + 1)
@@ -154,11 +155,14 @@ class FramelessRays:
         dr.scatter(out, mi.Vector4f(color.x, color.y, color.z, place.x), base)
         dr.scatter(out, mi.Vector4f(place.y, place.z, mover, visible), base + 1)
         dr.scatter(out, mi.Vector4f(*counts[:4]), base + 2)
-        dr.scatter(out, mi.Vector4f(counts[4], mi.Float(sample.clamped), 0, 0), base + 3)
+        dr.scatter(out, mi.Vector4f(counts[4], mi.Float(sample.clamped), display_luma(color, exposure), 0), base + 3)
         return out
 
-    def trace(self, state: EngineState, rows: np.ndarray, seed: int) -> np.ndarray:
-        """(n, IN) float32 rows -> (n, OUT) float32 results, valid until the next call of the same n; n may be 0."""
+    def trace(self, state: EngineState, rows: np.ndarray, seed: int, exposure: float = 1.0) -> np.ndarray:
+        """(n, IN) float32 rows -> (n, OUT) float32 results, valid until the next call of the same n; n may be 0.
+
+        ``exposure``: what the luma is shown with.
+        """
         lanes = len(rows)
         if lanes not in self._out:
             if len(self._out) >= 64:
@@ -168,13 +172,24 @@ class FramelessRays:
         if lanes:
             coherent_order(rows, order)
         out = self._kernel(
-            lanes, state, opaque_uint(order), opaque_float(rows), opaque_uint(seed), self._out.pop(lanes)
-        )
+            lanes, state, opaque_uint(order), opaque_float(rows), opaque_uint(seed), opaque_float(exposure),
+            self._out.pop(lanes),
+        )  # fmt: skip
         if out is None:
             return np.zeros((0, OUT), np.float32)
         self._out[lanes] = out
         found: np.ndarray = out.numpy().reshape(lanes, OUT)
         return found
+
+
+def display_luma(color: Any, exposure: Any) -> Any:
+    """0.299 R + 0.587 G + 0.114 B of the sRGB values that the exposed linear colour is shown with (0 to 1).
+
+    Called inside kernels: one power for each channel of each sample cost the sampler's control a quarter of its time.
+    """
+    shown = dr.clip(color * exposure, 0, 1)
+    shown = dr.select(shown <= 0.0031308, 12.92 * shown, 1.055 * dr.power(shown, 1 / 2.4) - 0.055)
+    return 0.299 * shown.x + 0.587 * shown.y + 0.114 * shown.z
 
 
 def counted(totals: np.ndarray, primary: int, visibility: int) -> dict[str, int]:

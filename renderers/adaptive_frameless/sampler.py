@@ -15,7 +15,7 @@ from renderers.adaptive_frameless import rays
 from renderers.adaptive_frameless.balance import adjust
 from renderers.adaptive_frameless.buffers import Buffers, Settings, make_buffers
 from renderers.adaptive_frameless.compiled import uncounted
-from renderers.adaptive_frameless.crosshair import ARMS, display_luma, spatial_gradients
+from renderers.adaptive_frameless.crosshair import ARMS, spatial_gradients
 from renderers.adaptive_frameless.deep_buffer import new_entry, push_front, put_in_stream
 from renderers.adaptive_frameless.tiling import even_tiling, sum_errors
 from renderers.adaptive_frameless.visits import JOB_F, SAMPLES_PER_VISIT, Poses, hit, plan, take_in
@@ -45,7 +45,7 @@ def _first_fill(b: Buffers, s: Settings, time_s: float, found: np.ndarray) -> No
                 dx, dy = (0, 0) if j == 0 else (int(ARMS[j - 1][0]), int(ARMS[j - 1][1]))
                 at = min(max(y + dy, 0), s.height - 1) * s.width + min(max(x + dx, 0), s.width - 1)
                 f = found[at]
-                e[c.LUMA + j] = display_luma(f[rays.RED], f[rays.GREEN], f[rays.BLUE], s.exposure)
+                e[c.LUMA + j] = f[rays.LUMA]
                 px, py, pz, mover = hit(found, at)
                 e[c.POINT + 3 * j], e[c.POINT + 3 * j + 1], e[c.POINT + 3 * j + 2] = px, py, pz
                 b.entry_i[entry, c.MOVER + j] = mover

@@ -94,7 +94,7 @@ class AdaptiveFrameless:
         order = tile_order(*self.size_px)
         rows = np.zeros((pixels, IN), np.float32)
         rows[:, 0], rows[:, 1] = pixel_centres(order, self.size_px[0])
-        found = self._rays.trace(state, rows, int(self._rng.integers(1 << 32)))
+        found = self._rays.trace(state, rows, int(self._rng.integers(1 << 32)), view.exposure)
         self._filled_s = now_s
         self.sampler.first_fill(now_s, found[inverse_order(order)])
         return found.sum(axis=0, dtype=np.float64), pixels
@@ -111,7 +111,7 @@ class AdaptiveFrameless:
             chunk = self.sampler.plan(poses, times_s[:size])
         for k, seed in enumerate(seeds):
             with self._watch.stage("trace"):
-                found = self._rays.trace(state, chunk.rows, seed)
+                found = self._rays.trace(state, chunk.rows, seed, self.sampler.settings.exposure)
             with self._watch.stage("control"):
                 following = times_s[(k + 1) * size : (k + 2) * size]
                 chunk, asked = self.sampler.turn(poses, chunk, found, totals, following)

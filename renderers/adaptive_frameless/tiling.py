@@ -23,10 +23,11 @@ EPOCH_S = 2.0
 def add_entry(b: Buffers, s: Settings, entry: int, sign: float) -> None:
     """Count (sign 1) or uncount (-1) ``entry`` in the tile of its pixel and in the whole picture's sums."""
     node = b.leaf_of[b.entry_i[entry, c.PIXEL]]
-    _add_to(b, s, node, entry, sign, True)
+    weight = _weight(b, s, entry)
+    _add_to(b, node, entry, weight, sign, True)
     b.number[c.ENTRIES] += int(sign)
     b.total[c.TIMES] += sign * b.entry_t[entry]
-    if sign < 0 and b.node_f[node, c.W] < 1e-6 * math.exp(s.decay_per_s * (b.entry_t[entry] - b.total[c.EPOCH])):
+    if sign < 0 and b.node_f[node, c.W] < 1e-6 * weight:
         sum_tile(b, s, node)  # what is left weighs so little that the subtraction's rounding would show
     if not b.is_touched[node]:
         b.is_touched[node] = True
@@ -35,8 +36,13 @@ def add_entry(b: Buffers, s: Settings, entry: int, sign: float) -> None:
 
 
 @inlined
-def _add_to(b: Buffers, s: Settings, node: int, entry: int, sign: float, everywhere: bool) -> None:
-    weight = sign * math.exp(s.decay_per_s * (b.entry_t[entry] - b.total[c.EPOCH]))
+def _weight(b: Buffers, s: Settings, entry: int) -> float:
+    return math.exp(s.decay_per_s * (b.entry_t[entry] - b.total[c.EPOCH]))
+
+
+@inlined
+def _add_to(b: Buffers, node: int, entry: int, own_weight: float, sign: float, everywhere: bool) -> None:
+    weight = sign * own_weight
     f, e = b.node_f[node], b.entry_f[entry]
     luma, squares = 0.0, 0.0
     for k in range(5):
@@ -72,7 +78,7 @@ def sum_tile(b: Buffers, s: Settings, node: int) -> None:
         for x in range(n[c.X0], n[c.X1]):
             pixel = y * s.width + x
             for k in range(b.fill[pixel]):
-                _add_to(b, s, node, b.queue[pixel, k], 1.0, False)
+                _add_to(b, node, b.queue[pixel, k], _weight(b, s, b.queue[pixel, k]), 1.0, False)
 
 
 @uncounted

@@ -17,7 +17,6 @@ from renderers.adaptive_frameless.compiled import inlined, uncounted
 from renderers.adaptive_frameless.crosshair import (
     ARMS,
     blended,
-    display_luma,
     moved,
     moved_gradients,
     projected,
@@ -185,7 +184,7 @@ def _complete(b: Buffers, s: Settings, found: np.ndarray, first: int, job: np.nd
     e = b.entry_f[entry]
     for j in range(5):
         f = found[first + j]
-        e[c.LUMA + j] = display_luma(f[rays.RED], f[rays.GREEN], f[rays.BLUE], s.exposure)
+        e[c.LUMA + j] = f[rays.LUMA]
         x, y, z, mover = hit(found, first + j)
         e[c.POINT + 3 * j], e[c.POINT + 3 * j + 1], e[c.POINT + 3 * j + 2] = x, y, z
         b.entry_i[entry, c.MOVER + j] = mover
@@ -207,7 +206,7 @@ def _begin(b: Buffers, s: Settings, found: np.ndarray, sample: int, job: np.ndar
     begun = b.node_p[b.leaf_of[py * s.width + px]]
     f = found[sample]
     begun[c.HAS], begun[c.PX], begun[c.PY], begun[c.PTIME] = 1.0, job[JNEW_X], job[JNEW_Y], time_s
-    begun[c.PLUMA] = display_luma(f[rays.RED], f[rays.GREEN], f[rays.BLUE], s.exposure)
+    begun[c.PLUMA] = f[rays.LUMA]
     x, y, z, mover = hit(found, sample)
     begun[c.PPOINT], begun[c.PPOINT + 1], begun[c.PPOINT + 2], begun[c.PMOVER] = x, y, z, mover
 

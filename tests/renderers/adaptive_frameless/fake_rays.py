@@ -37,7 +37,8 @@ def found_at(rows: np.ndarray, poses: Poses, shown: Shown, hidden: np.ndarray | 
     """What rays would find: grey of ``shown`` on the plane z = -1 under a camera that does not move."""
     found = np.zeros((len(rows), rays.OUT), np.float32)
     time_s = poses.t1_s + rows[:, 2].astype(np.float64)
-    found[:, :3] = linear(shown(rows[:, 0], rows[:, 1], time_s))[:, None]
+    found[:, rays.LUMA] = shown(rows[:, 0], rows[:, 1], time_s)
+    found[:, :3] = linear(found[:, rays.LUMA])[:, None]
     found[:, rays.LOCAL_X] = rows[:, 0] - poses.lens[1] + poses.camera[1, 0, 3]
     found[:, rays.LOCAL_Y] = poses.lens[2] - rows[:, 1]
     found[:, rays.LOCAL_Z] = -1.0

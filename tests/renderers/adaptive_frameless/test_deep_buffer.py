@@ -10,11 +10,10 @@ import pytest
 from renderers.adaptive_frameless import buffers as c
 from renderers.adaptive_frameless.budget import SampleClock
 from renderers.adaptive_frameless.buffers import make_buffers
-from renderers.adaptive_frameless.crosshair import display_luma, moved_gradients, temporal_gradient
+from renderers.adaptive_frameless.crosshair import moved_gradients, temporal_gradient
 from renderers.adaptive_frameless.deep_buffer import make_room, new_entry, push_back, push_front, put_in_stream
 from renderers.adaptive_frameless.technique import sampler_settings
 from renderers.parameters import AdaptiveFrameless
-from stimuli.encode import display_values
 from tests.renderers.adaptive_frameless.fake_rays import FakeRun, found_at, still_poses
 
 
@@ -65,13 +64,6 @@ def test_the_stream_keeps_the_newest(empty) -> None:
     assert b.number[c.KEPT] == 5
     oldest = b.number[c.NEXT]
     assert [b.stream_t[(oldest + k) % 5] for k in range(5)] == [2.0, 3.0, 4.0, 5.0, 6.0]
-
-
-def test_luma_is_of_the_displayed_values() -> None:
-    colors = np.random.default_rng(0).uniform(0, 1.5, (50, 3))
-    for color in colors:
-        shown = display_values(color[None, None], 0.7)[0, 0]
-        assert display_luma(*color, 0.7) == pytest.approx(shown @ [0.299, 0.587, 0.114], abs=1e-6)
 
 
 def test_gradients_of_a_moving_ramp_are_its_slopes() -> None:

@@ -7,9 +7,10 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from renderers.adaptive_frameless.rays import CELL_PX, IN, OUT, PACKET, FramelessRays, coherent_order
+from renderers.adaptive_frameless.rays import CELL_PX, IN, LUMA, OUT, PACKET, FramelessRays, coherent_order
 from renderers.clip_frames import view_at
 from renderers.engine import Engine
+from stimuli.encode import display_values
 from tests.renderers.scenes import SlidingCamera, noise_pixels, quad, scene_of, unlit
 
 
@@ -45,6 +46,17 @@ def test_neighbouring_packets_are_dealt_out() -> None:
     packets = ordered(rows).reshape(-1, PACKET)
     means = [float(rows[run, 1].mean()) for run in np.array_split(packets, 8)]
     assert np.ptp(means) < 0.2 * 256
+
+
+def test_luma_is_of_the_displayed_values() -> None:
+    pixels = np.random.default_rng(0).uniform(0, 1, (32, 32, 3)).astype(np.float32)
+    engine = Engine(scene_of(quad((-4, -4, -2), (8, 0, 0), (0, 8, 0), unlit(pixels), repeats=1.0)))
+    state = engine.state(view_at(0, Fraction(60), Fraction(1), (32, 24), engine.scene.camera, cut=True), (32, 24))
+    for exposure in (1e-3, 0.7, 30.0):
+        found = FramelessRays(engine).trace(state, rows_at(300, (32, 24)), 7, exposure).astype(np.float64)
+        shown = display_values(found[None, :, :3], exposure)[0]
+        np.testing.assert_allclose(found[:, LUMA], shown @ [0.299, 0.587, 0.114], atol=1e-6)
+    assert found[:, LUMA].max() == pytest.approx(1, abs=1e-6)
 
 
 def test_the_order_of_lanes_changes_no_result(monkeypatch: pytest.MonkeyPatch) -> None:
