@@ -1,19 +1,19 @@
 """The new picture in one pass (Weier et al. 2016, 3.2 and 3.4): last frame's pixels, holes, and this frame's samples.
 
-A pass for what is carried over and another for the samples took 1.3 (area light) to 1.4 times as long (point light): a
-sample's pixel has its own cache lines in every buffer. Samples packed like the cache saved nothing.
+A pass for what is carried over and another for the samples took 1.3 (area light) to 1.4 times as long (point light).
+Nothing is written into a buffer that was there before: a recording copies such a buffer first.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 from renderers.backend import dr, mi
-from renderers.foveated import light_cache
 from renderers.foveated.cache import blend
 from renderers.foveated.reprojection import BACKGROUND, JUMP_PX, next_bits, normal_pair, pixel_at, was_seen, world_depth
 from renderers.foveated.support import SupportGrid
-from renderers.image import bilinear, fetch, rgb
+from renderers.foveated.words import COLORS, Layout, float_pair, floats, gathered, packed
 from renderers.parameters import Foveated
 from renderers.rng import combined
 
@@ -24,22 +24,63 @@ OVERWRITES = 1 << 31
 """Set beside a sample's lane number where the cache is not asked: the fovea, marked pixels."""
 
 
+@dataclass
+class Samples:
+    """A PyTree, a lane each: ``color`` as it is and z beside it (two words), the cache's ``words``, and the G-buffer:
+    ``z`` (world units, inf: background), ``normal`` (tracer space), ``mover``."""
+
+    color: tuple[Any, Any]
+    words: tuple[Any, ...]
+    z: Any
+    normal: Any
+    mover: Any
+
+
+@dataclass
+class Picture:
+    """A PyTree, a pixel each: ``shown`` (Float, 4 a pixel, the last is spare), the cache's ``words``, ``info`` (rho and
+    age, Floats in a word), ``rho_light`` where light has a recursion of its own, and ``alpha`` (0: no sample)."""
+
+    shown: Any
+    words: tuple[Any, ...]
+    info: Any
+    rho_light: Any
+    alpha: Any
+
+
 def _step(place: Any, neighbour: Any, sign: Any, unit: Any) -> Any:
     """How far ``place`` moves to a neighbour's; ``unit`` where the two do not lie on one surface."""
     step = (neighbour - place) * sign
     return dr.select(dr.squared_norm(step) < JUMP_PX**2, step, unit)  # false for nan
 
 
+def _from_support(grid: SupportGrid, layout: Layout, words: Any, lanes: Any, x: Any, y: Any) -> list[Any]:
+    """The support image's `COLORS` at ``x``, ``y`` (texels), bilinear; ``lanes``: of each texel's sample."""
+    gx, gy = dr.clip(x - 0.5, 0, grid.columns - 1), dr.clip(y - 0.5, 0, grid.rows - 1)
+    x0, y0 = (dr.minimum(mi.UInt32(g), max(n - 2, 0)) for g, n in ((gx, grid.columns), (gy, grid.rows)))
+    right, down = (1 if grid.columns > 1 else 0), (grid.columns if grid.rows > 1 else 0)
+    corner = y0 * grid.columns + x0
+    fx, fy = gx - mi.Float(x0), gy - mi.Float(y0)
+    shares = ((0, (1 - fx) * (1 - fy)), (right, fx * (1 - fy)), (down, (1 - fx) * fy), (down + right, fx * fy))
+    totals = {name: mi.Color3f(0) for name in COLORS[layout]}
+    for offset, share in shares:
+        found = gathered(layout, words, dr.gather(mi.UInt32, lanes, corner + offset))
+        for name, value in found.items():
+            totals[name] += value * share
+    return list(totals.values())
+
+
 def carried_over(
-    p: Foveated, grid: SupportGrid, names: tuple[str, ...], place: Any, index: Any, wanted: Any, old: dict[str, Any],
-    support: dict[str, Any], seed: Any,
+    p: Foveated, grid: SupportGrid, layout: Layout, place: Any, index: Any, wanted: Any, old: Picture, samples: Samples,
+    texel_lanes: Any, seed: Any,
 ) -> dict[str, Any]:  # fmt: skip
     """What the last picture has for the pixels ``index``, or the support image where it has nothing; where ``wanted``.
 
-    ``names``: the pictures, filtered by ``n_fp`` normal taps in the pixel's footprint. Cache info is fetched nearest,
+    The layout's colours are filtered by ``n_fp`` normal taps in the pixel's footprint. Cache info is fetched nearest,
     never averaged, and its age grows by 1 (rho 0: filled from the support image).
     """
     width, height = grid.width, grid.height
+    names = COLORS[layout]
     y = index // width
     x = index - y * width
     here = dr.gather(mi.Vector2f, place, index)
@@ -59,73 +100,71 @@ def carried_over(
     for tap in range(p.n_fp):
         pair = normal_pair(next_bits(start + tap * 0x9E3779B9 % (1 << 32)))
         at = pixel_at(here + across * (sigma * pair.x) + along * (sigma * pair.y), width, height)
-        if "cache" in old:
-            found = light_cache.colors(old["cache"], at, seen & wanted)
-        else:
-            found = {"shown": rgb(fetch(old["shown"], at, seen & wanted))}
+        found = gathered(layout, old.words, at, seen & wanted)
         for name in names:
             totals[name] += found[name]
-    empty = ~seen
     sx = (mi.Float(x) + 0.5) * (grid.columns / width)
     sy = (mi.Float(y) + 0.5) * (grid.rows / height)
     mean = [totals[name] * (1 / p.n_fp) for name in names]
 
-    def filled(pictures: list[Any], x: Any, y: Any, _: list[Any]) -> list[Any]:
-        return [bilinear(picture, x, y, grid.columns, grid.rows) for picture in pictures]
+    def filled(words: Any, lanes: Any, x: Any, y: Any, _: list[Any]) -> list[Any]:
+        return _from_support(grid, layout, words, lanes, x, y)
 
     # A branch that packets without a hole jump over: 0.9 of the pass's time.
-    pictures = [support[name] for name in names]
-    mean = dr.if_stmt((pictures, sx, sy, mean), empty & wanted, filled, lambda pictures, x, y, mean: mean)
+    inputs = (samples.words, texel_lanes, sx, sy, mean)
+    mean = dr.if_stmt(inputs, ~seen & wanted, filled, lambda words, lanes, x, y, mean: mean)
     values: dict[str, Any] = dict(zip(names, mean, strict=True))
-    nearest = pixel_at(here, width, height)
-    if "cache" in old:
-        values |= light_cache.info(old["cache"], nearest, seen)
+    if layout != "shown":
         values["shown"] = values["surface"] + values["albedo"] * values["light"]
-    else:
-        info = dr.gather(mi.Vector2f, old["info"], nearest, seen)
-        values |= {"rho": info.x, "age": info.y}
-    values["age"] = values["age"] + 1
+    nearest = pixel_at(here, width, height)
+    values["rho"], age = floats(dr.gather(mi.UInt64, old.info, nearest, seen))
+    values["age"] = age + 1
+    if old.rho_light is not None:
+        values["rho_light"] = dr.gather(mi.Float, old.rho_light, nearest, seen)
     return values
 
 
-def store(buffers: dict[str, Any], pixel: Any, values: dict[str, Any]) -> None:
-    """Write what is shown and the cache of ``pixel``."""
-    c = values["shown"]
-    dr.scatter(buffers["shown"], mi.Vector4f(c.x, c.y, c.z, 0), pixel)
-    if "cache" in buffers:
-        light_cache.write(buffers["cache"], pixel, values)
-    else:
-        dr.scatter(buffers["info"], mi.Vector2f(values["rho"], values["age"]), pixel)
+def _picture(layout: Layout, values: dict[str, Any], alpha: Any, pixels: int) -> Picture:
+    """What a frame leaves: a lane for each of the picture's pixels in scanline order."""
+    shown, color = dr.empty(mi.Float, pixels * 4), values["shown"]
+    dr.scatter(
+        shown, mi.Vector4f(color.x, color.y, color.z, 0), dr.arange(mi.UInt32, pixels), mode=dr.ReduceMode.NoConflicts
+    )
+    info = float_pair(values["rho"], values["age"])
+    return Picture(shown, packed(layout, values), info, values.get("rho_light"), alpha)
 
 
-def first_samples(pixel: Any, samples: dict[str, Any], buffers: dict[str, Any]) -> dict[str, Any]:
-    """Write the samples (packed, a lane each) where there is no history: each is one of one."""
-    lane = dr.arange(mi.UInt32, dr.width(pixel))
-    values = {"shown" if name == "color" else name: rgb(fetch(packed, lane)) for name, packed in samples.items()}
-    store(buffers, pixel, values | {"rho": mi.Float(1), "age": mi.Float(0), "rho_light": mi.Float(1)})
-    return buffers
+def _sample(layout: Layout, samples: Samples, lane: Any, active: Any) -> dict[str, Any]:
+    """``color`` and ``z`` of a lane's sample and, where light is cached by itself, the layout's `COLORS`."""
+    rg, bz = (floats(dr.gather(mi.UInt64, word, lane, active)) for word in samples.color)
+    found = {} if layout == "shown" else gathered(layout, samples.words, lane, active)
+    return found | {"color": mi.Color3f(*rg, bz[0]), "z": bz[1]}
+
+
+def first_picture(layout: Layout, grid: SupportGrid, lane: Any, samples: Samples, own_light: bool) -> Picture:
+    """The samples alone, where there is no history: each is one of one. ``lane`` (a pixel each): its sample's."""
+    found = _sample(layout, samples, lane, True)
+    one = dr.select(lane != NO_SAMPLE, mi.Float(1), 0)  # a lane each: results of one value would be one value wide
+    info = {"shown": found["color"], "rho": one, "age": 1 - one} | ({"rho_light": one} if own_light else {})
+    return _picture(layout, found | info, one, grid.width * grid.height)
 
 
 def compose(
-    p: Foveated, grid: SupportGrid, names: tuple[str, ...], place: Any, depth: Any, slot: Any, samples: dict[str, Any],
-    old: dict[str, Any], support: dict[str, Any], to_world: Any, t_max: Any, seed: Any, new: dict[str, Any],
-    weight: Any,
-) -> tuple[dict[str, Any], Any]:  # fmt: skip
-    """Every pixel of ``new``: carried over, and blended with its sample where it has one; ``weight``: alpha by lane.
+    p: Foveated, grid: SupportGrid, layout: Layout, place: Any, depth: Any, slot: Any, samples: Samples,
+    texel_lanes: Any, old: Picture, to_world: Any, t_max: Any, seed: Any,
+) -> Picture:  # fmt: skip
+    """Every pixel: carried over, and blended with its sample where it has one.
 
-    ``slot`` (a pixel each): the lane of its sample with `OVERWRITES`, or `NO_SAMPLE`. ``samples``: packed, a lane each
-    (color has z beside it). Lanes in scanline order: in tile order this takes 1.4 times as long.
+    ``slot`` (a pixel each): the lane of its sample with `OVERWRITES`, or `NO_SAMPLE`. Lanes in scanline order: in tile
+    order this takes 1.4 times as long.
     """
-    index = dr.arange(mi.UInt32, grid.width * grid.height)
+    pixels = grid.width * grid.height
+    index = dr.arange(mi.UInt32, pixels)
     traced = slot != NO_SAMPLE
     overwrite = traced & (slot >= OVERWRITES)
-    values = carried_over(p, grid, names, place, index, ~overwrite, old, support, seed)
-    lane = slot & (OVERWRITES - 1)
-    fetched = {name: fetch(packed, lane, traced) for name, packed in samples.items()}
-    sample = {name: rgb(value) for name, value in fetched.items()} | {"z": fetched["color"].w}
+    values = carried_over(p, grid, layout, place, index, ~overwrite, old, samples, texel_lanes, seed)
+    sample = _sample(layout, samples, slot & (OVERWRITES - 1), traced)
     z_cache = world_depth(depth, to_world)
     blended, alpha = blend(p, sample, values, overwrite, z_cache, to_world * BACKGROUND, t_max)
-    values = {name: dr.select(traced, value, values[name]) for name, value in blended.items()}
-    store(new, index, values)
-    dr.scatter(weight, alpha, lane, traced)
-    return new, weight
+    values = {name: dr.select(traced, blended[name], value) for name, value in values.items()}
+    return _picture(layout, values, dr.select(traced, alpha, 0), pixels)

@@ -9,8 +9,9 @@ from __future__ import annotations
 from typing import Any
 
 from renderers.backend import dr, mi
-from renderers.foveated import light_cache
+from renderers.foveated.compose import Picture
 from renderers.foveated.support import SupportGrid
+from renderers.foveated.words import Layout, floats, gathered
 from renderers.rng import uniform
 
 SEARCH_TEXELS = 8
@@ -42,7 +43,7 @@ def nearest_unmarked_px(grid: SupportGrid, marks: Any, pixel: Any) -> Any:
 
 
 def filter_light(
-    taps: int, grid: SupportGrid, marks: Any, probability: Any, pixel: Any, seed: Any, buffers: dict[str, Any]
+    taps: int, grid: SupportGrid, layout: Layout, marks: Any, probability: Any, pixel: Any, seed: Any, picture: Picture
 ) -> Any:
     """Show the marked pixels ``pixel`` with the light of the closest of ``taps`` random cached pixels around them."""
     radius = nearest_unmarked_px(grid, marks, pixel)
@@ -62,13 +63,18 @@ def filter_light(
         texel = mi.UInt32(j * grid.rows // grid.height * grid.columns + i * grid.columns // grid.width)
         cached &= dr.gather(mi.UInt32, marks, texel, cached) == 0
         cached &= dr.gather(mi.Float, probability, other, cached) <= 1
-        there = light_cache.colors(buffers["cache"], other, cached)
-        cached &= light_cache.info(buffers["cache"], other, cached)["rho_light"] > 0
+        there = gathered(layout, picture.words, other, cached)
+        if picture.rho_light is None:
+            rho = floats(dr.gather(mi.UInt64, picture.info, other, cached))[0]
+        else:
+            rho = dr.gather(mi.Float, picture.rho_light, other, cached)
+        cached &= rho > 0
         # background and what only glows hold no light to copy
-        cached &= dr.max(there["albedo"]) > 2 * light_cache.LEAST
+        cached &= dr.max(there["albedo"]) > 0
         closest, best = dr.select(cached, other, closest), dr.select(cached, distance, best)
-    here = light_cache.colors(buffers["cache"], pixel)
-    light = light_cache.colors(buffers["cache"], closest)["light"]
+    here = gathered(layout, picture.words, pixel)
+    light = gathered(layout, picture.words, closest)["light"]
     value = here["surface"] + here["albedo"] * light
-    dr.scatter(buffers["shown"], mi.Vector4f(value.x, value.y, value.z, 0), pixel, best < dr.inf)
-    return buffers["shown"]
+    shown, packet = picture.shown, mi.Vector4f(value.x, value.y, value.z, 0)
+    dr.scatter(shown, packet, pixel, best < dr.inf, mode=dr.ReduceMode.NoConflicts)
+    return shown

@@ -78,21 +78,20 @@ class SupportGrid:
 
 
 def extract(
-    engine: Engine, follow: bool, state: EngineState, x_px: Any, y_px: Any, texel: Any, z: Any, normal: Any, mover: Any
+    engine: Engine, follow: bool, state: EngineState, x_px: Any, y_px: Any, lane: Any, z: Any, normal: Any, mover: Any
 ) -> tuple[Any, Any, Any, Any]:
     """The mesh's vertices as this frame sees them: (local point or direction, local normal, depth, mover).
 
-    ``z`` (world units, inf: background), ``normal`` (Vector4f packets, tracer space) and ``mover`` are the support
-    G-buffer; ``follow`` False puts everything into the static scene. Depth is in tracer units.
+    ``z`` (world units, inf: background), ``normal`` (tracer space) and ``mover`` are the samples' G-buffer, ``lane``
+    the sample of each vertex; ``follow`` False puts everything into the static scene. Depth is in tracer units.
     """
-    depth = dr.gather(mi.Float, z, texel) / state.to_world
+    depth = dr.gather(mi.Float, z, lane) / state.to_world
     seen = depth < dr.inf
-    body = dr.gather(mi.UInt32, mover, texel) if follow else mi.UInt32(0)
+    body = dr.gather(mi.UInt32, mover, lane) if follow else mi.UInt32(0)
     ray = engine.camera_ray(state, x_px, y_px)
     along = dr.dot(ray.d, forward_axis(state.camera, 0.0))
     point = mi.Point3f(dr.fma(ray.d, dr.select(seen, depth, 0) / along, ray.o))
-    packet = dr.gather(mi.Vector4f, normal, texel)
-    facing = mi.Normal3f(packet.x, packet.y, packet.z)
+    facing = mi.Normal3f(*(dr.gather(mi.Float, component, lane) for component in normal))
     if follow and engine.tracer.bodies:
         own = pose_at(state.poses, dr.select(seen, body, 0), 0.0).inverse()
         point, facing = own.point(point), own.normal(facing)

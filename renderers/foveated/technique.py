@@ -17,18 +17,18 @@ from renderers.backend import dr, is_cuda, mi
 from renderers.eccentricity import EyePlane, eye_plane
 from renderers.engine import LARGEST, Engine, EngineState
 from renderers.eye_angles import pixel_eccentricity_deg, plane_values
-from renderers.foveated import light_cache
-from renderers.foveated.compose import NO_SAMPLE, OVERWRITES, compose, first_samples
+from renderers.foveated.compose import NO_SAMPLE, OVERWRITES, Picture, Samples, compose, first_picture
 from renderers.foveated.eyes import Eyes
 from renderers.foveated.mesh_blocks import SIZES, BlockMesh, blocks_of, flat_blocks
 from renderers.foveated.post_filter import filter_light
 from renderers.foveated.reprojection import look, mark
 from renderers.foveated.span_rasteriser import make_rasteriser
 from renderers.foveated.support import IS_TEXEL, SupportGrid, extract, move
+from renderers.foveated.words import Layout, float_pair, packed
 from renderers.frozen import frozen, opaque_float, opaque_uint
 from renderers.parameters import Foveated as FoveatedParameters
 from renderers.parameters import Vanilla as VanillaParameters
-from renderers.pixels import tile_order
+from renderers.pixels import inverse_order, tile_order
 from renderers.rng import combined
 from renderers.stopwatch import Stopwatch
 from renderers.technique import Frame, Measure, View
@@ -66,17 +66,24 @@ class Foveated:
         self.grid = grid = SupportGrid.of(size_px, params.support_divisor)
         sampled = {"area", "sphere"} & set(engine.requirements.lights)
         self.noisy = engine.lighting == "ambient_occlusion" or bool(sampled)
-        self._names = light_cache.COLORS if self.noisy else ("shown",)
-        self._cache = "cache" if self.noisy else "info"
-        self._order = opaque_uint(tile_order(*size_px))
+        grey = engine.lighting == "ambient_occlusion"
+        self._layout: Layout = ("grey" if grey else "light") if self.noisy else "shown"
+        order = tile_order(*size_px)
+        self._order = opaque_uint(order)
         texel_of = grid.texel_of_pixels()
-        self._texel_of = opaque_uint(texel_of[self._order.numpy()])  # in tile order, as all that is looked at there
+        self._texel_of = opaque_uint(texel_of[order])  # in tile order, as all that is looked at there
         self._scanline = opaque_uint(np.arange(size_px[0] * size_px[1]))
+        # where nothing is left out: the lane of each pixel, and of each texel's
+        lane_of = inverse_order(order)
+        self._all_lanes = opaque_uint(lane_of)
+        self._all_texel_lanes = opaque_uint(lane_of[grid.texel_pixels()])
         self._texel_pixel = opaque_uint(grid.texel_pixels())
         x, y, texel = grid.vertices()
         self._vertices = (opaque_float(x), opaque_float(y), opaque_uint(texel))
         self._blocks = BlockMesh(grid)
         self._block = {size: opaque_uint(np.arange(math.prod(blocks_of(grid, size)))) for size in SIZES}
+        k = (params.k_min, params.k_max)
+        self._own_light = self.noisy and (params.light_k_min, params.light_k_max) != k
         self._rasteriser = make_rasteriser(params.rasteriser, is_cuda(), size_px, *grid.mesh)
         self._watch = Stopwatch(measure, dr.sync_thread)
         self._kernels = {
@@ -90,34 +97,18 @@ class Foveated:
 
     def reset(self, seed: int) -> None:
         """Start anew; the same views then give the same frames."""
-        self._seed, self._history = seed, False
+        self._seed = seed
         self._eyes.close()
         if self._full is not None:
             self._full.reset(seed)
             return
-        pixels, texels = self.size_px[0] * self.size_px[1], self.grid.texels
-        self._now, self._before = (
-            {"shown": opaque_float(np.zeros(pixels * 4)), self._cache: self._no_history(pixels)} for _ in range(2)
-        )
-        self._samples = {
-            name: opaque_float(np.zeros(pixels * 4)) for name in ("color", *(self._names if self.noisy else ()))
-        }
-        self._alpha = opaque_float(np.zeros(pixels))
-        self._support = {name: opaque_float(np.zeros(texels * 4)) for name in (*self._names, "normal")}
-        self._support |= {"z": opaque_float(np.zeros(texels)), "mover": opaque_uint(np.zeros(texels))}
-        self._marks = opaque_uint(np.zeros(texels))
+        self._picture: Picture | None = None
+        self._marks = opaque_uint(np.zeros(self.grid.texels))
         self._mesh: Any = None
         self._plane: EyePlane | None = None
         self._probability: Any = None  # scanline order
         self._draw: Any = None  # the same in tile order
         self._sampled: Any = None
-        self._composed = False
-
-    def _no_history(self, pixels: int) -> Any:
-        """The cache of pixels of which nothing is known."""
-        if self.noisy:
-            return opaque_uint(np.zeros(pixels * light_cache.WORDS, np.uint32))
-        return opaque_float(np.zeros(pixels * 2, np.float32))
 
     # Kernels --------------------------------------------------------------------------------------------------------
 
@@ -144,8 +135,8 @@ class Foveated:
         return mark(self.params, self.grid, looks)
 
     def _select(self, order: Any, probability: Any, texel_of: Any, marks: Any, seed: Any) -> tuple[Any, Any, Any, Any]:
-        """Number and texel of the pixels to trace, in tile order; the slot of every pixel, in scanline order, that
-        `compose` reads; whether the post filter may change a lane's pixel (marked, outside of the fovea)."""
+        """Number of the pixels to trace, in tile order; the slot of every pixel, in scanline order, that `compose`
+        reads; the lane of every texel; whether the post filter may change a lane's pixel (marked, not in the fovea)."""
         marked = dr.gather(mi.UInt32, marks, texel_of & (IS_TEXEL - 1)) > 0
         drawn = mi.Float(combined(seed ^ _DRAW, order) >> 8) * (1 / (1 << 24)) < probability
         lanes = dr.compress(drawn | marked | (texel_of >= IS_TEXEL))
@@ -154,13 +145,14 @@ class Foveated:
         marked = dr.gather(mi.UInt32, marks, texel & (IS_TEXEL - 1)) > 0
         slot = dr.full(mi.UInt32, NO_SAMPLE, self.size_px[0] * self.size_px[1])
         lane = dr.arange(mi.UInt32, dr.width(lanes))
-        dr.scatter(slot, dr.select(fovea | marked, lane | OVERWRITES, lane), pixel)
-        return pixel, texel, slot, marked & ~fovea
+        alone = dr.ReduceMode.NoConflicts
+        dr.scatter(slot, dr.select(fovea | marked, lane | OVERWRITES, lane), pixel, mode=alone)
+        texel_lanes = dr.empty(mi.UInt32, self.grid.texels)
+        dr.scatter(texel_lanes, lane, texel & (IS_TEXEL - 1), texel >= IS_TEXEL, mode=alone)
+        return pixel, slot, texel_lanes, marked & ~fovea
 
-    def _trace(
-        self, state: EngineState, pixel: Any, texel: Any, seed: Any, samples: dict[str, Any], support: dict[str, Any]
-    ) -> tuple[dict[str, Any], dict[str, Any], Any, Any]:
-        """A sample a lane, packed; those of the support image are written there too, with the G-buffer.
+    def _trace(self, state: EngineState, pixel: Any, seed: Any) -> tuple[Samples, Any, Any]:
+        """A sample a lane.
 
         Lanes keep the order of full pictures, and rays their coherent mode, although 84 % of the pixels are missing: a
         ray costs 2.1 (primary), 1.5 (shadow) times what it costs there. CPU time of tunnel_geom, point light, 272k
@@ -172,45 +164,37 @@ class Foveated:
         y = pixel // width
         ray = self.engine.camera_ray(state, mi.Float(pixel - y * width) + 0.5, mi.Float(y) + 0.5)
         got = self.engine.sample(state, ray, rng=combined(seed, pixel), light_samples=self.params.light_samples)
-        values = {"color": (got.color, dr.minimum(got.z, FARTHEST))}
+        color = (float_pair(got.color.x, got.color.y), float_pair(got.color.z, dr.minimum(got.z, FARTHEST)))
+        values = {"shown": got.color}
         if self.noisy:
-            for name in self._names:
+            for name in ("surface", "albedo", "light"):
                 value = getattr(got, name)
-                values[name] = (dr.select(dr.isnan(value), 0, dr.clip(value, 0, LARGEST)), mi.Float(0))
-        lane = dr.arange(mi.UInt32, dr.width(pixel))
-        own, texel = texel >= IS_TEXEL, texel & (IS_TEXEL - 1)
-        for name, (c, spare) in values.items():
-            packet = mi.Vector4f(c.x, c.y, c.z, spare)
-            dr.scatter(samples[name], packet, lane)
-            if name in self._names or not self.noisy:
-                dr.scatter(support["shown" if name == "color" else name], packet, texel, own)
-        n = got.normal_geometric
-        dr.scatter(support["normal"], mi.Vector4f(n.x, n.y, n.z, 0), texel, own)
-        dr.scatter(support["z"], got.z, texel, own)
-        dr.scatter(support["mover"], got.mover, texel, own)
-        return samples, support, got.rays, got.clamped
+                values[name] = dr.select(dr.isnan(value), 0, dr.clip(value, 0, LARGEST))
+        normal = mi.Vector3f(got.normal_geometric)
+        samples = Samples(color, packed(self._layout, values), got.z, tuple(normal), got.mover)
+        return samples, got.rays, got.clamped
 
-    def _extract(self, state: EngineState, x: Any, y: Any, texel: Any, z: Any, normal: Any, mover: Any) -> Any:
-        return extract(self.engine, self.params.reproject_movers, state, x, y, texel, z, normal, mover)
+    def _extract(
+        self, state: EngineState, x: Any, y: Any, texel: Any, texel_lanes: Any, z: Any, normal: Any, mover: Any
+    ) -> Any:
+        lane = dr.gather(mi.UInt32, texel_lanes, texel)
+        return extract(self.engine, self.params.reproject_movers, state, x, y, lane, z, normal, mover)
 
-    def _first(self, pixel: Any, samples: dict[str, Any], buffers: dict[str, Any]) -> dict[str, Any]:
-        return first_samples(pixel, samples, buffers)
+    def _first(self, lane: Any, samples: Samples) -> Picture:
+        return first_picture(self._layout, self.grid, lane, samples, self._own_light)
 
     def _compose(
-        self, place: Any, depth: Any, slot: Any, samples: Any, old: Any, support: Any, to_world: Any, t_max: Any,
-        seed: Any, new: Any, weight: Any,
-    ) -> tuple[dict[str, Any], Any]:  # fmt: skip
+        self, place: Any, depth: Any, slot: Any, samples: Samples, texel_lanes: Any, old: Picture, to_world: Any,
+        t_max: Any, seed: Any,
+    ) -> Picture:  # fmt: skip
         taps = seed ^ _TAPS
         return compose(
-            self.params, self.grid, self._names, place, depth, slot, samples, old, support, to_world, t_max, taps, new,
-            weight,
-        )  # fmt: skip
+            self.params, self.grid, self._layout, place, depth, slot, samples, texel_lanes, old, to_world, t_max, taps
+        )
 
-    def _filter(
-        self, pixels: Any, chosen: Any, marks: Any, probability: Any, seed: Any, buffers: dict[str, Any]
-    ) -> Any:
-        pixel = dr.gather(mi.UInt32, pixels, chosen)
-        return filter_light(self.params.post_filter, self.grid, marks, probability, pixel, seed ^ _FILTER, buffers)
+    def _filter(self, pixels: Any, chosen: Any, marks: Any, probability: Any, seed: Any, picture: Picture) -> Any:
+        pixel, own = dr.gather(mi.UInt32, pixels, chosen), seed ^ _FILTER
+        return filter_light(self.params.post_filter, self.grid, self._layout, marks, probability, pixel, own, picture)
 
     # A frame --------------------------------------------------------------------------------------------------------
 
@@ -221,7 +205,7 @@ class Foveated:
         if self._full is not None:
             return self._full.render(view)
         if view.cut:
-            self._history = False
+            self._picture = None
         stage, run = self._watch.stage, self._kernels
         width, height = self.size_px
         pixels, texels, vertices = width * height, self.grid.texels, self.grid.mesh[0] * self.grid.mesh[1]
@@ -230,8 +214,8 @@ class Foveated:
                 state = self.engine.state(view, self.size_px)
                 seed = frame_seed(self._seed, view.index)
                 self._see(view)
-            self._now, self._before = self._before, self._now
-            if self._history:
+            old = self._picture
+            if old is not None:
                 with stage("move"):
                     moved, edge = run["_move"](vertices, state, *self._vertices[:2], self._mesh)
                 with stage("raster"):
@@ -239,46 +223,40 @@ class Foveated:
                 with stage("marks"):
                     exposure = opaque_float(view.exposure)
                     looks = run["_look"](
-                        texels, place, depth, self._before["shown"], edge, state.to_world, exposure, self._texel_pixel
+                        texels, place, depth, old.shown, edge, state.to_world, exposure, self._texel_pixel
                     )
                     self._marks = run["_mark"](texels, looks)
             with stage("select"):
-                if self._history:
-                    pixel, texel, slot, chosen = run["_select"](
+                if old is not None:
+                    pixel, slot, texel_lanes, chosen = run["_select"](
                         pixels, self._order, self._draw, self._texel_of, self._marks, seed
                     )
                 else:
-                    pixel, texel = self._order, self._texel_of
+                    pixel, slot, texel_lanes = self._order, self._all_lanes, self._all_texel_lanes
                 lanes = dr.width(pixel)
             with stage("trace"):
-                self._samples, self._support, rays, clamped = run["_trace"](
-                    lanes, state, pixel, texel, seed, self._samples, self._support
-                )
+                samples, rays, clamped = run["_trace"](lanes, state, pixel, seed)
             with stage("extract"):
-                z, normal, mover = (self._support[name] for name in ("z", "normal", "mover"))
-                self._mesh = run["_extract"](vertices, state, *self._vertices, z, normal, mover)
+                self._mesh = run["_extract"](
+                    vertices, state, *self._vertices, texel_lanes, samples.z, samples.normal, samples.mover
+                )
             with stage("compose"):
-                if self._history:
-                    colors = {name: self._support[name] for name in self._names}
-                    carried = (self._cache,) if self.noisy else (self._cache, "shown")
-                    old = {name: self._before[name] for name in carried}
-                    self._now, self._alpha = run["_compose"](
-                        pixels, place, depth, slot, self._samples, old, colors, state.to_world,
-                        opaque_float(self.t_max(view)), seed, self._now, self._alpha,
+                if old is not None:
+                    new = run["_compose"](
+                        pixels, place, depth, slot, samples, texel_lanes, old, state.to_world,
+                        opaque_float(self.t_max(view)), seed,
                     )  # fmt: skip
                 else:
-                    self._now = run["_first"](lanes, pixel, self._samples, self._now)
-            if self._history and self.noisy and self.params.post_filter:
+                    new = run["_first"](pixels, slot, samples)
+            if old is not None and self.noisy and self.params.post_filter:
                 with stage("post filter"):
                     # compressed outside of the recording: Dr.Jit 1.5 aborts where a recorded result has no lanes
                     chosen = dr.compress(chosen)
                     if count := dr.width(chosen):
-                        self._now["shown"] = run["_filter"](
-                            count, pixel, chosen, self._marks, self._probability, seed, self._now
-                        )
-        self._sampled, self._composed, self._history = pixel, self._history, True
+                        new.shown = run["_filter"](count, pixel, chosen, self._marks, self._probability, seed, new)
+        self._sampled, self._picture = pixel, new
         return Frame(
-            color=self._now["shown"].numpy().reshape(height, width, 4)[..., :3],
+            color=new.shown.numpy().reshape(height, width, 4)[..., :3],
             rays=ray_counts(lanes, rays),
             seconds=dict(self._watch.seconds),
             time_s=float(view.index * (view.t1 - view.t0)),
@@ -316,23 +294,19 @@ class Foveated:
         if self._full is not None:
             one = np.ones((height, width), np.float32)
             return {"sampled": one, "marks": 0 * one, "probability": one, "alpha": one, "samples": one, "age": 0 * one}
+        assert self._picture is not None
         sampled = np.zeros(width * height, np.float32)
-        pixel = self._sampled.numpy()
-        sampled[pixel] = 1
-        alpha = np.zeros(width * height, np.float32)
-        alpha[pixel] = self._alpha.numpy()[: len(pixel)] if self._composed else 1
+        sampled[self._sampled.numpy()] = 1
         texel = self.grid.texel_of_pixels() & (IS_TEXEL - 1)
-        info = self._now[self._cache].numpy().reshape(height, width, -1)
-        if self.noisy:
-            info = info[..., light_cache.RHO : light_cache.AGE + 1].copy().view(np.float32)
+        rho, age = self._picture.info.numpy().view(np.float32).reshape(-1, 2).T
         shape = (height, width)
         return {
             "sampled": sampled.reshape(shape),
             "marks": self._marks.numpy()[texel].astype(np.float32).reshape(shape),
             "probability": np.minimum(self._probability.numpy(), 1).reshape(shape),
-            "alpha": alpha.reshape(shape),
-            "samples": info[..., 0].copy(),
-            "age": info[..., 1].copy(),
+            "alpha": self._picture.alpha.numpy().reshape(shape),
+            "samples": rho.reshape(shape).copy(),
+            "age": age.reshape(shape).copy(),
         }
 
     def close(self) -> None:
