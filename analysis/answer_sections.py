@@ -13,6 +13,7 @@ from analysis import result_columns as shown
 from analysis.blocks import Block, figure_block, number, section, table_block, words_block
 from analysis.comparisons import POOLED, conditions_of, pair_table, win_matrix, with_winner
 from analysis.plan import likert_questions, within_factors
+from analysis.protocol_facts import level_order
 from analysis.rows import rows_of_table
 from analysis.sessions import Session
 from analysis.within_means import cell_means
@@ -91,7 +92,10 @@ def _speed_preference(points: Sequence[Mapping[str, Any]], checks: pd.DataFrame,
 
 
 def likert_section(kept: pd.DataFrame, sessions: Sequence[Session]) -> dict[str, Any] | None:
-    """Per question: diverging bars and means by condition, interaction with the second factor, the counts."""
+    """Per question: diverging bars and means by condition, interaction with the second factor, the counts.
+
+    A factor's levels stand as the protocol lists them, else by their means.
+    """
     questions = likert_questions(sessions)
     factors = within_factors(kept, sessions)
     blocks: list[Block] = []
@@ -99,16 +103,28 @@ def likert_section(kept: pd.DataFrame, sessions: Sequence[Session]) -> dict[str,
         dv = f"rating_{name}"
         own = kept[np.isfinite(kept[dv].astype(float))] if dv in kept else kept.iloc[:0]
         if len(own):
-            blocks += _likert_blocks(own, name, dv, question, factors)
+            shown_factors = factors[:3] or ["condition"]
+            levels = {factor: _levels(own, dv, factor, sessions) for factor in shown_factors}
+            blocks += _likert_blocks(own, name, dv, question, levels)
     return section("likert", "Ratings", blocks) if blocks else None
 
 
+def _levels(own: pd.DataFrame, dv: str, factor: str, sessions: Sequence[Session]) -> list[str]:
+    found = own.groupby(own[factor].astype(str))[dv].mean().sort_values(ascending=False, kind="stable").index.tolist()
+    listed = level_order(sessions, factor)
+    return [level for level in listed if level in found] if set(found) <= set(listed) else found
+
+
 def _likert_blocks(
-    own: pd.DataFrame, name: str, dv: str, question: Mapping[str, Any], factors: Sequence[str]
+    own: pd.DataFrame, name: str, dv: str, question: Mapping[str, Any], levels_of: Mapping[str, Sequence[str]]
 ) -> list[Block]:
+    """``levels_of``: the levels of the first factors in the order in which they are shown, the main one first."""
     low, high = int(question["low"]), int(question["high"])
-    main = factors[0] if factors else "condition"
+    main, *others = levels_of
+    levels = list(levels_of[main])
+    own = own.assign(**{main: own[main].astype(str)})
     summary = analysis.likert_summary(own, dv=dv, by=[main], scale=(low, high))
+    summary = summary.sort_values(main, key=lambda column: column.map(levels.index), kind="stable")
     categories = [str(point) for point in range(low, high + 1)]
     words = [
         f"{number(point, 0)} {question['labels'][str(point)]}"
@@ -121,14 +137,10 @@ def _likert_blocks(
         .unstack(fill_value=0)
         .reindex(columns=range(low, high + 1), fill_value=0)
     )
-    order = own.groupby(main)[dv].mean().sort_values(ascending=False).index
+    shares = counts.div(counts.sum(axis=1), axis=0)
     rows = [
-        {
-            "label": level,
-            "n": int(counts.loc[level].sum()),
-            "shares": (counts.loc[level] / counts.loc[level].sum()).to_numpy(dtype=float),
-        }
-        for level in order
+        {"label": one, "n": int(counts.loc[one].to_numpy().sum()), "shares": shares.loc[one].to_numpy()}
+        for one in levels
     ]
     blocks: list[Block] = [words_block(f"“{question['text']}” ({name}; {', '.join(words) or f'{low} to {high}'}).")]
     alt = f"Ratings of {name} by {main}, stacked from {low} to {high}, the neutral answers split at zero"
@@ -137,7 +149,6 @@ def _likert_blocks(
     columns = [(main, main, "text"), ("n", "answers", "int"), ("mean", "mean", "f2"), ("sd", "SD", "f2")]
     columns += [("median", "median", "f1"), *((share, share, "pct0") for share in ("disagree", "neutral", "agree"))]
     means = cell_means(own, dv, [main])
-    levels = [str(level) for level in order]
     means = means.set_index(means[main].astype(str)).loc[levels].reset_index(drop=True)
     series = [{"name": main, "mean": means["mean"], "low": means["ci_low"], "high": means["ci_high"]}]
     by_person = own.groupby(["participant", main], observed=True)[dv].mean().reset_index()
@@ -152,23 +163,24 @@ def _likert_blocks(
     n = own["participant"].nunique()
     caption = f"{name}: means with 95 % within-subject intervals (Cousineau-Morey), n = {n} participants (dots)"
     blocks.append(figure_block(f"means-{name}", caption, "means", data))
-    for other in factors[1:3]:
-        blocks.append(_interaction(own, name, dv, main, other, levels, (low, high)))
+    for other in others:
+        blocks.append(_interaction(own, name, dv, main, other, levels_of, (low, high)))
     blocks.append(table_block(f"summary-{name}", f"{name}: answers ({POOLED})", summary, columns))
     return blocks
 
 
 def _interaction(
-    own: pd.DataFrame, name: str, dv: str, main: str, other: str, levels: Sequence[str], scale: tuple[int, int]
-) -> Block:
+    own: pd.DataFrame, name: str, dv: str, main: str, other: str, levels_of: Mapping[str, Sequence[str]],
+    scale: tuple[int, int],
+) -> Block:  # fmt: skip
     cells = cell_means(own, dv, [main, other])
     keyed = cells.set_index([cells[main].astype(str), cells[other].astype(str)])
     series = []
-    for level in sorted(cells[other].astype(str).unique()):
-        rows = keyed.reindex([(one, level) for one in levels])
+    for level in levels_of[other]:
+        rows = keyed.reindex([(one, level) for one in levels_of[main]])
         series.append({"name": level, "mean": rows["mean"], "low": rows["ci_low"], "high": rows["ci_high"]})
     data = {
-        "x": levels,
+        "x": list(levels_of[main]),
         "series": series,
         "lines": True,
         "y_label": f"mean rating, {name}",

@@ -44,6 +44,17 @@ def replication_of(sessions: Sequence[Session]) -> Mapping[str, Any] | None:
     return stated if isinstance(stated, Mapping) else None
 
 
+def level_order(sessions: Sequence[Session], factor: str) -> list[str]:
+    """The levels of ``factor`` in the order in which a block of the protocol lists them; empty where none does."""
+    blocks = protocol_of(sessions[0]).get("blocks")
+    for block in blocks if isinstance(blocks, Sequence) else ():
+        factors = block.get("factors") if isinstance(block, Mapping) else None
+        levels = factors.get(factor) if isinstance(factors, Mapping) else None
+        if isinstance(levels, (Mapping, list)) and levels:
+            return [str(level) for level in levels]
+    return []
+
+
 def screen_of(session: Session) -> dict[str, Any]:
     """Screen geometry: size_px, width_m, height_m, distance_m; the lab file's display before the protocol's.
 

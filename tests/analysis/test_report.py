@@ -47,6 +47,26 @@ def test_the_best_condition_of_the_model_is_ranked_first(results: dict[str, Any]
     assert np.all(np.diff(means["series"][0]["mean"]) < 0)
 
 
+@pytest.mark.parametrize(
+    ("listed", "shown"),
+    [
+        ("{condition: {taa_240: {}, vanilla_60: {}, tdrt_240: {}}, scene: [toy_car, bar]}", True),
+        ("{condition: [taa_240, vanilla_60], scene: [toy_car, bar]}", False),  # not all: by their means
+    ],
+)
+def test_levels_stand_as_the_protocol_lists_them(tmp_path: Path, listed: str, shown: bool) -> None:
+    text = f"blocks:\n  - {{name: hello, kind: text}}\n  - {{name: main, factors: {listed}}}\n"
+    demo_study(tmp_path, participants=3, header={"protocol_text": text})
+    made = analyse([tmp_path])
+    levels = ["taa_240", "vanilla_60", "tdrt_240"] if shown else ["tdrt_240", "taa_240", "vanilla_60"]
+    assert block(made, "means-smooth")["data"]["x"] == levels
+    assert [row["label"] for row in block(made, "likert-smooth")["data"]["rows"]] == levels
+    assert [row["condition"] for row in block(made, "summary-smooth")["rows"]] == levels
+    lines = block(made, "interaction-smooth-scene")["data"]
+    assert lines["x"] == levels
+    assert [one["name"] for one in lines["series"]] == ["toy_car", "bar"]
+
+
 def test_win_matrix_counts_every_analysed_comparison_once(results: dict[str, Any]) -> None:
     data = block(results, "win-matrix")["data"]
     assert data["conditions"] == sorted(DEMO_CONDITIONS)
