@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ import pandas as pd
 
 from analysis.blocks import number, p_words
 from analysis.planned_test import Result
-from analysis.results import BOUNDARY
+from analysis.results import BOUNDARY, TOO_FEW_SUBJECTS
 from analysis.rows import rows_of_table
 
 
@@ -32,15 +33,23 @@ def sentences(result: Result) -> list[str]:
     said = []
     for row in ({str(key): value for key, value in one.items()} for one in result.table.to_dict("records")):
         status = row.get("status", "ok")
-        if status == BOUNDARY and np.isfinite([row.get(end, np.nan) for end in ("p", "ci_low", "ci_high")]).all():
-            # a variance of 0 is a result: the numbers are those of the model without it
-            said.append(f"{make(result, row)[:-1]} ({row['note']}).")
-        elif status != "ok":
-            name = row.get("effect") or row.get("item") or row.get("term") or result.test.name
-            said.append(f"{result.test.name}, {name}: {row['status'].replace('_', ' ')} ({row.get('note', '')}).")
+        levels = [str(row[factor]) for factor in result.test.separately_by if factor in row]
+        own = replace(result, test=replace(result.test, name=", ".join([result.test.name, *levels])))
+        if status == "ok":
+            said.append(make(own, row))
+        elif _has_numbers(status, row):
+            said.append(f"{make(own, row)[:-1]} ({row['note']}).")
         else:
-            said.append(make(result, row))
+            name = row.get("effect") or row.get("item") or row.get("term") or result.test.name
+            said.append(f"{own.test.name}, {name}: {row['status'].replace('_', ' ')} ({row.get('note', '')}).")
     return said
+
+
+def _has_numbers(status: str, row: Mapping[str, Any]) -> bool:
+    """Whether the row says something all the same: a variance of 0 is a result (the numbers are those of the model
+    without it), and F stands where only Mauchly's test needs more participants."""
+    needed = {BOUNDARY: ("p", "ci_low", "ci_high"), TOO_FEW_SUBJECTS: ("F", "p")}.get(status)
+    return needed is not None and bool(np.isfinite([float(row.get(name, np.nan)) for name in needed]).all())
 
 
 def _anova(result: Result, row: Mapping[str, Any]) -> str:

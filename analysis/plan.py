@@ -203,6 +203,8 @@ def _run_separately(test: Test, kept: pd.DataFrame, plan: Plan) -> Result:
         notes += [f"{', '.join(combination)}: {note}" for note in result.notes]
     first = next((result for result, _ in parts if result.method), parts[0][0])
     joined = pd.concat([table for _, table in parts], ignore_index=True)
+    if "condition" in joined and any(joined["condition"].astype(str).equals(joined[one]) for one in columns):
+        joined = joined.drop(columns="condition")  # by each condition under another name
     joined.attrs.update({key: value for key, value in first.table.attrs.items() if key == "adjust"})
     return Result(test, joined, first.method, max(result.n_subjects for result, _ in parts), tuple(notes))
 

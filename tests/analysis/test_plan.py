@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import analysis
+from analysis.apa import sentences
 from analysis.exclusions import apply_exclusions
 from analysis.plan import plan_of, run_plan
 from analysis.planned_test import Result
@@ -91,6 +92,36 @@ def test_separately_by_gives_one_table_with_its_levels(tmp_path: Path) -> None:
     found = planned(tmp_path, {"name": "t", "test": "friedman", "separately_by": ["scene"], **RATING})
     assert len(found) == 1
     assert found[0].table["scene"].tolist() == ["bar", "toy_car"]
+
+
+def test_sentences_name_the_levels_that_a_test_is_made_for(tmp_path: Path) -> None:
+    found = planned(tmp_path, {"name": "pairs", "test": "posthoc_t", "separately_by": ["scene"], **RATING})
+    said = sentences(found[0])
+    assert [one.split(": t(")[0].rsplit(", ", 1)[0] for one in said] == ["pairs, bar"] * 3 + ["pairs, toy_car"] * 3
+    assert len(set(said)) == 6
+
+
+def test_f_is_told_where_only_mauchlys_test_needs_more_participants(tmp_path: Path) -> None:
+    test = {"test": "rm_anova", "question": "smooth", "within": ["condition", "scene"]}
+    found = planned(tmp_path, {"name": "t", **test}, participants=2)[0]
+    row = found.table.set_index("effect").loc["condition"]
+    assert row["status"] == "too_few_subjects"
+    assert np.isfinite(row["p"])
+    said = next(one for one in sentences(found) if "t, condition: " in one)
+    assert "F(" in said
+    assert said.endswith(f"({row['note']}).")
+
+
+def test_a_summary_by_the_condition_under_another_name_names_it_once(tmp_path: Path) -> None:
+    summary = {"test": "likert_summary", "question": "smooth"}
+    tests = [{"name": "t", "separately_by": ["scene"], **summary}, {"name": "u", "separately_by": ["look"], **summary}]
+    demo_study(tmp_path, participants=3, analysis_plan={"tests": tests})
+    sessions = read_sessions([tmp_path])
+    kept = apply_exclusions(combine(sessions), (), sessions).kept
+    by_scene, by_look = run_plan(plan_of(sessions, kept), kept.assign(look=kept["condition"]))
+    assert list(by_scene.table)[:2] == ["scene", "condition"]
+    assert "condition" not in by_look.table
+    assert by_look.table["look"].tolist() == ["taa_240", "tdrt_240", "vanilla_60"]
 
 
 def test_where_chooses_rows(tmp_path: Path) -> None:

@@ -106,8 +106,9 @@ def test_every_number_in_a_table_of_the_page_is_that_of_the_json(results: dict[s
     cells = shown_cells(page)
     checked = 0
     for table in blocks(results, "table"):
+        columns = [column for column in table["columns"] if column["key"] != "note"]  # it stands under its row
         for row, texts in zip(table["rows"], cells[table["id"]], strict=False):
-            for column, text in zip(table["columns"], texts, strict=True):
+            for column, text in zip(columns, texts, strict=True):
                 value = row[column["key"]]
                 if not isinstance(value, float | int) or isinstance(value, bool) or column["format"] in ("text", "p"):
                     continue
@@ -118,6 +119,18 @@ def test_every_number_in_a_table_of_the_page_is_that_of_the_json(results: dict[s
                 assert abs(number - scale * value) <= tolerance, (table["id"], column, text, value)
                 checked += 1
     assert checked > 300
+
+
+def test_a_note_stands_under_its_row() -> None:
+    rows = [{"effect": "a", "p": 0.01, "note": ""}, {"effect": "b", "p": 0.02, "note": "p is <right>"}]
+    columns = [{"key": key, "label": key, "format": form} for key, form in (("effect", "text"), ("p", "p"))]
+    columns.append({"key": "note", "label": "note", "format": "text"})
+    table = {"type": "table", "id": "t", "caption": "t", "columns": columns, "rows": rows, "note": ""}
+    head = {"title": "t", "study": "s", "simulated": False, "blind": False, "glance": [], "observer_kind": "person"}
+    page = render_html({**head, "format": 1, "sections": [{"id": "x", "title": "x", "blocks": [table]}]})
+    assert shown_cells(page)["t"] == [["a", ".010"], ["b", ".020"]]
+    under = re.findall(r'<tr class="under"><td class="text" colspan="2">(.*?)</td></tr>', page)
+    assert under == ["p is &lt;right&gt;"]
 
 
 def test_simulated_stands_across_every_figure_and_table(results: dict[str, Any], page: str) -> None:
