@@ -11,9 +11,18 @@ from typing import Any
 
 from renderers.backend import dr, mi
 from renderers.foveated.cache import blend
-from renderers.foveated.reprojection import BACKGROUND, JUMP_PX, next_bits, normal_pair, pixel_at, was_seen, world_depth
+from renderers.foveated.reprojection import (
+    BACKGROUND,
+    DEVIATION,
+    JUMP_PX,
+    next_bits,
+    normal_taps,
+    pixel_at,
+    was_seen,
+    world_depth,
+)
 from renderers.foveated.support import SupportGrid
-from renderers.foveated.words import COLORS, Layout, float_pair, floats, gathered, packed
+from renderers.foveated.words import COLORS, SCALE, Layout, float_pair, floats, gathered, gathered_small, packed
 from renderers.parameters import Foveated
 from renderers.rng import combined
 
@@ -94,24 +103,25 @@ def carried_over(
     off = dr.abs(here - dr.floor(here) - 0.5)
     unlike = dr.maximum(dr.max(dr.abs(across - mi.Vector2f(1, 0))), dr.max(dr.abs(along - mi.Vector2f(0, 1))))
     moved = dr.maximum(dr.max(off), unlike) > AT_REST_PX
-    sigma = dr.select(moved, mi.Float(0.5 * p.footprint_sigma), mi.Float(0))
+    sigma = dr.select(moved, mi.Float(0.5 * p.footprint_sigma / DEVIATION), mi.Float(0))
+    across, along = across * sigma, along * sigma
     totals = {name: mi.Color3f(0) for name in names}
     start = combined(seed, index)
     for tap in range(p.n_fp):
-        pair = normal_pair(next_bits(start + tap * 0x9E3779B9 % (1 << 32)))
-        at = pixel_at(here + across * (sigma * pair.x) + along * (sigma * pair.y), width, height)
-        found = gathered(layout, old.words, at, seen & wanted)
+        if tap % 2 == 0:
+            taps = normal_taps(next_bits(start + tap * 0x9E3779B9 % (1 << 32)))
+        at = pixel_at(here + across * taps[tap % 2].x + along * taps[tap % 2].y, width, height)
+        found = gathered_small(layout, old.words, at, seen & wanted)
         for name in names:
             totals[name] += found[name]
-    sx = (mi.Float(x) + 0.5) * (grid.columns / width)
-    sy = (mi.Float(y) + 0.5) * (grid.rows / height)
-    mean = [totals[name] * (1 / p.n_fp) for name in names]
+    mean = [totals[name] * (SCALE / p.n_fp) for name in names]
 
     def filled(words: Any, lanes: Any, x: Any, y: Any, _: list[Any]) -> list[Any]:
-        return _from_support(grid, layout, words, lanes, x, y)
+        sx, sy = (mi.Float(x) + 0.5) * (grid.columns / width), (mi.Float(y) + 0.5) * (grid.rows / height)
+        return _from_support(grid, layout, words, lanes, sx, sy)
 
     # A branch that packets without a hole jump over: 0.9 of the pass's time.
-    inputs = (samples.words, texel_lanes, sx, sy, mean)
+    inputs = (samples.words, texel_lanes, x, y, mean)
     mean = dr.if_stmt(inputs, ~seen & wanted, filled, lambda words, lanes, x, y, mean: mean)
     values: dict[str, Any] = dict(zip(names, mean, strict=True))
     if layout != "shown":
@@ -163,8 +173,16 @@ def compose(
     traced = slot != NO_SAMPLE
     overwrite = traced & (slot >= OVERWRITES)
     values = carried_over(p, grid, layout, place, index, ~overwrite, old, samples, texel_lanes, seed)
-    sample = _sample(layout, samples, slot & (OVERWRITES - 1), traced)
-    z_cache = world_depth(depth, to_world)
-    blended, alpha = blend(p, sample, values, overwrite, z_cache, to_world * BACKGROUND, t_max)
-    values = {name: dr.select(traced, blended[name], value) for name, value in values.items()}
-    return _picture(layout, values, dr.select(traced, alpha, 0), pixels)
+    z_cache, far = world_depth(depth, to_world), to_world * BACKGROUND
+
+    def merged(
+        samples: Samples, slot: Any, overwrite: Any, z_cache: Any, far: Any, t_max: Any, values: dict[str, Any], _: Any
+    ) -> tuple[dict[str, Any], Any]:
+        sample = _sample(layout, samples, slot & (OVERWRITES - 1), True)
+        blended, alpha = blend(p, sample, values, overwrite, z_cache, far, t_max)
+        return {name: blended[name] for name in values}, alpha
+
+    # Packets without a sample jump over it.
+    inputs = (samples, slot, overwrite, z_cache, far, t_max, values, dr.zeros(mi.Float, pixels))
+    values, alpha = dr.if_stmt(inputs, traced, merged, lambda *inputs: inputs[-2:])
+    return _picture(layout, values, alpha, pixels)

@@ -8,7 +8,7 @@ import pytest
 from renderers.backend import activate, mi
 from renderers.engine import Engine
 from renderers.foveated.post_filter import SEARCH_TEXELS, nearest_unmarked_px
-from renderers.foveated.reprojection import mark, normal_pair, world_depth
+from renderers.foveated.reprojection import DEVIATION, mark, normal_taps, world_depth
 from renderers.foveated.support import IS_TEXEL, SupportGrid
 from renderers.foveated.technique import Foveated
 from renderers.frozen import frozen
@@ -225,10 +225,10 @@ def test_a_mesh_behind_the_eye_or_at_the_edge_of_time_is_no_trouble() -> None:
 
 def test_the_taps_are_nearly_normal() -> None:
     bits = np.random.default_rng(1).integers(0, 2**32, 200_000, np.uint32)
-    pair = normal_pair(mi.UInt32(bits))
-    values = np.stack([pair.x.numpy(), pair.y.numpy()])
+    taps = normal_taps(mi.UInt32(bits))
+    values = np.concatenate([(tap.x.numpy(), tap.y.numpy()) for tap in taps]) / DEVIATION
     np.testing.assert_allclose(values.mean(axis=1), 0, atol=0.01)
-    np.testing.assert_allclose(np.cov(values), np.eye(2), atol=0.01)
+    np.testing.assert_allclose(np.cov(values), np.eye(4), atol=0.01)
     # a sum of four has 6/5 / 4 less kurtosis than the normal's 3
     np.testing.assert_allclose((values**4).mean(axis=1), 2.7, atol=0.05)
     assert np.abs(values).max() < 3.5
