@@ -22,7 +22,7 @@ from renderers.foveated.reprojection import (
     world_depth,
 )
 from renderers.foveated.support import SupportGrid
-from renderers.foveated.words import COLORS, SCALE, Layout, float_pair, floats, gathered, gathered_small, packed
+from renderers.foveated.words import COLORS, LEAST, SCALE, Layout, float_pair, floats, gathered, gathered_small, packed
 from renderers.parameters import Foveated
 from renderers.rng import combined
 
@@ -48,7 +48,8 @@ class Samples:
 @dataclass
 class Picture:
     """A PyTree, a pixel each: ``shown`` (Float, 4 a pixel, the last is spare), the cache's ``words``, ``info`` (rho and
-    age, Floats in a word), ``rho_light`` where light has a recursion of its own, and ``alpha`` (0: no sample)."""
+    age, Floats in a word; age has a minus where there is no light to lend), ``rho_light`` where light has a recursion
+    of its own, and ``alpha`` (0: no sample)."""
 
     shown: Any
     words: tuple[Any, ...]
@@ -128,19 +129,27 @@ def carried_over(
         values["shown"] = values["surface"] + values["albedo"] * values["light"]
     nearest = pixel_at(here, width, height)
     values["rho"], age = floats(dr.gather(mi.UInt64, old.info, nearest, seen))
-    values["age"] = age + 1
+    values["age"] = dr.abs(age) + 1
     if old.rho_light is not None:
         values["rho_light"] = dr.gather(mi.Float, old.rho_light, nearest, seen)
     return values
 
 
-def _picture(layout: Layout, values: dict[str, Any], alpha: Any, pixels: int) -> Picture:
+def lends_light(info: Any) -> Any:
+    """Whether the post filter may copy a pixel's light: not of fovea or marks, known, and no background."""
+    return info >> 63 == 0
+
+
+def _picture(layout: Layout, values: dict[str, Any], overwrite: Any, alpha: Any, pixels: int) -> Picture:
     """What a frame leaves: a lane for each of the picture's pixels in scanline order."""
     shown, color = dr.empty(mi.Float, pixels * 4), values["shown"]
     dr.scatter(
         shown, mi.Vector4f(color.x, color.y, color.z, 0), dr.arange(mi.UInt32, pixels), mode=dr.ReduceMode.NoConflicts
     )
-    info = float_pair(values["rho"], values["age"])
+    age = values["age"]
+    if layout != "shown":  # background and what only glows hold no light
+        age = dr.select(~overwrite & (values["rho"] > 0) & (dr.max(values["albedo"]) > LEAST), age, -age)
+    info = float_pair(values["rho"], age)
     return Picture(shown, packed(layout, values), info, values.get("rho_light"), alpha)
 
 
@@ -156,7 +165,7 @@ def first_picture(layout: Layout, grid: SupportGrid, lane: Any, samples: Samples
     found = _sample(layout, samples, lane, True)
     one = dr.select(lane != NO_SAMPLE, mi.Float(1), 0)  # a lane each: results of one value would be one value wide
     info = {"shown": found["color"], "rho": one, "age": 1 - one} | ({"rho_light": one} if own_light else {})
-    return _picture(layout, found | info, one, grid.width * grid.height)
+    return _picture(layout, found | info, mi.Bool(False), one, grid.width * grid.height)
 
 
 def compose(
@@ -185,4 +194,4 @@ def compose(
     # Packets without a sample jump over it.
     inputs = (samples, slot, overwrite, z_cache, far, t_max, values, dr.zeros(mi.Float, pixels))
     values, alpha = dr.if_stmt(inputs, traced, merged, lambda *inputs: inputs[-2:])
-    return _picture(layout, values, alpha, pixels)
+    return _picture(layout, values, overwrite, alpha, pixels)

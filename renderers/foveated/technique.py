@@ -192,9 +192,10 @@ class Foveated:
             self.params, self.grid, self._layout, place, depth, slot, samples, texel_lanes, old, to_world, t_max, taps
         )
 
-    def _filter(self, pixels: Any, chosen: Any, marks: Any, probability: Any, seed: Any, picture: Picture) -> Any:
-        pixel, own = dr.gather(mi.UInt32, pixels, chosen), seed ^ _FILTER
-        return filter_light(self.params.post_filter, self.grid, self._layout, marks, probability, pixel, own, picture)
+    def _filter(self, pixels: Any, chosen: Any, marks: Any, seed: Any, picture: Picture) -> tuple[Any, Any, Any]:
+        pixel = dr.gather(mi.UInt32, pixels, chosen)
+        taps, own = self.params.post_filter, seed ^ _FILTER
+        return pixel, *filter_light(taps, self.grid, self._layout, marks, pixel, own, picture)
 
     # A frame --------------------------------------------------------------------------------------------------------
 
@@ -253,7 +254,10 @@ class Foveated:
                     # compressed outside of the recording: Dr.Jit 1.5 aborts where a recorded result has no lanes
                     chosen = dr.compress(chosen)
                     if count := dr.width(chosen):
-                        new.shown = run["_filter"](count, pixel, chosen, self._marks, self._probability, seed, new)
+                        where, colors, found = run["_filter"](count, pixel, chosen, self._marks, seed, new)
+                        # outside as well: a recording would copy the picture before it writes into it
+                        dr.scatter(new.shown, colors, where, found, mode=dr.ReduceMode.NoConflicts)
+                        dr.eval(new.shown)
         self._sampled, self._picture = pixel, new
         return Frame(
             color=new.shown.numpy().reshape(height, width, 4)[..., :3],
@@ -306,7 +310,7 @@ class Foveated:
             "probability": np.minimum(self._probability.numpy(), 1).reshape(shape),
             "alpha": self._picture.alpha.numpy().reshape(shape),
             "samples": rho.reshape(shape).copy(),
-            "age": age.reshape(shape).copy(),
+            "age": np.abs(age).reshape(shape),
         }
 
     def close(self) -> None:
