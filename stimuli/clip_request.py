@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, field
 from fractions import Fraction
 from typing import Any
 
-ENGINE_VERSION = 3
+ENGINE_VERSION = 4
 """Raised by hand whenever the same request would give other pixels."""
 
 PATH_NAMES = ("file", "still", "sway", "toycar", "interactive")

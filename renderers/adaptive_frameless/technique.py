@@ -5,7 +5,8 @@ refresh is reconstructed from the newest samples, moved along with camera and mo
 are parameters. Samples are traced in launches of many chunks of 25 crosshairs (renderers traced in parallel, as the
 paper has it in its section 8): a launch's tiles are drawn at its start, every sample has its own time, and results are
 taken in crosshair by crosshair with the tiling adjusted after each chunk. With the default of two launches a refresh
-the controller knows all but the last 8 ms.
+the controller knows all but the last 8 ms. (One makes the sampler a tenth faster; the kitchen's error grows by 1.7 %
+on Interactive, 1.1 % on Bart, none on Toycar, and what a moved object uncovers is found later.)
 
 Control, in the paper's sense (section 7: 'the control machinery'): drawing tiles and places, choosing crosshairs to
 reproject, taking in what was found (deep buffer, queues, gradients, sums and errors of tiles), and splitting and

@@ -202,13 +202,23 @@ def test_long_runs_neither_grow_nor_record_again(still: Engine) -> None:
 
 
 @pytest.mark.parametrize(
-    ("rate", "visits"),
-    [(60_000.0, [100, 66]), (9000.0, [25]), (12_000.0, [25, 8]), (30_000.0, [50, 33]), (100.0, [])],
+    ("launches", "rate", "visits"),
+    [
+        (None, 60_000.0, [100, 66]),
+        (None, 9000.0, [25]),
+        (None, 12_000.0, [25, 8]),
+        (None, 30_000.0, [50, 33]),
+        (None, 100.0, []),
+        (1, 60_000.0, [166]),
+        (1, 100.0, []),
+        (100, 12_000.0, [25, 8]),
+    ],
 )
-def test_a_refresh_is_traced_in_two_launches_and_the_tiling_adjusted_after_each_chunk(
-    still: Engine, rate: float, visits: list[int], monkeypatch: pytest.MonkeyPatch
+def test_a_refresh_is_traced_in_so_many_launches_and_the_tiling_adjusted_after_each_chunk(
+    still: Engine, launches: int | None, rate: float, visits: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    made = AdaptiveFrameless(still, SIZE, Adaptive(samples_per_s=rate), 0, "total")
+    chosen = {} if launches is None else {"launches": launches}
+    made = AdaptiveFrameless(still, SIZE, Adaptive(samples_per_s=rate, **chosen), 0, "total")
     first, second = views(still, 2)
     made.render(first)
     launched, trace = [], made._rays.trace
