@@ -18,7 +18,7 @@ suppressPackageStartupMessages({{
 }})
 results <- list()  # every table of this script by name
 keep <- function(name, table) {{
-  cat("\n==", name, "\n")
+  cat("\\n==", name, "\\n")
   print(table)
   results[[name]] <<- table
 }}

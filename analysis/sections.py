@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -165,13 +166,18 @@ def plan_section(
         columns = [*leading, ("effect", "effect", "text"), *shown.RESULT_COLUMNS.get(result.test.test, ())]
         if result.test.test == "likert_summary" and "n" in result.table:
             columns = _summary_columns(result.table)
-        blocks.append(table_block(f"test-{place + 1}", head, result.table, columns, note))
+        blocks.append(table_block(f"test-{place + 1}-{_plain(result.test.name)}", head, result.table, columns, note))
         blocks.append(words_block(*apa.sentences(result), kind="sentences"))
     return section(
         "tests",
         "Planned tests" if plan.stated else "Tests derived from the design",
         [b for b in blocks if b.get("paragraphs", True)],
     )
+
+
+def _plain(name: str) -> str:
+    """A test's name as part of an id and of a file's name."""
+    return re.sub(r"[^A-Za-z0-9_]+", "-", name).strip("-") or "test"
 
 
 def design_blocks(sessions: Sequence[Session]) -> list[Block]:

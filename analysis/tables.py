@@ -37,8 +37,11 @@ def to_csv(block: Mapping[str, Any], simulated: bool) -> str:
 
 
 def to_latex(block: Mapping[str, Any], simulated: bool) -> str:
-    """A booktabs table with the page's columns, headings and rounding; the caption says where it is simulated."""
-    columns = block["columns"]
+    """A booktabs table with the page's columns, headings and rounding; the caption says where it is simulated.
+
+    A row's note stands under it, as on the page.
+    """
+    columns = [column for column in block["columns"] if column["key"] != "note"]
     shape = "".join("l" if column["format"] == "text" else "r" for column in columns)
     caption = ("SIMULATED, no person answered. " if simulated else "") + block["caption"]
     lines = [
@@ -53,6 +56,9 @@ def to_latex(block: Mapping[str, Any], simulated: bool) -> str:
     for row in block["rows"]:
         cells = [latex_text(written(row.get(column["key"]), column["format"])) for column in columns]
         lines.append(" & ".join(cells) + r" \\")
+        if len(columns) < len(block["columns"]) and row.get("note"):
+            said = rf"\footnotesize {latex_text(row['note'])}"
+            lines.append(rf"\multicolumn{{{len(columns)}}}{{p{{\linewidth}}}}{{{said}}} \\")
     lines += [r"\bottomrule", r"\end{tabular}"]
     if block.get("note"):
         lines.append(rf"\par\smallskip\footnotesize {latex_text(block['note'])}")

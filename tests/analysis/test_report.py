@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from analysis.report import analyse, render_html
+from analysis.tables import to_latex
 from tests.analysis.fabricate import DEMO_CONDITIONS, demo_study
 
 
@@ -131,6 +132,12 @@ def test_a_note_stands_under_its_row() -> None:
     assert shown_cells(page)["t"] == [["a", ".010"], ["b", ".020"]]
     under = re.findall(r'<tr class="under"><td class="text" colspan="2">(.*?)</td></tr>', page)
     assert under == ["p is &lt;right&gt;"]
+    lines = to_latex(table, simulated=False).splitlines()
+    assert r"effect & p \\" in lines
+    assert (
+        lines[lines.index(r"b & .020 \\") + 1] == r"\multicolumn{2}{p{\linewidth}}{\footnotesize p is $<$right$>$} \\"
+    )
+    assert sum("multicolumn" in line for line in lines) == 1
 
 
 def test_simulated_stands_across_every_figure_and_table(results: dict[str, Any], page: str) -> None:
