@@ -12,7 +12,7 @@ import numpy as np
 from renderers.backend import dr, mi
 from renderers.frozen import opaque_float
 from renderers.space import BodySpace, TracerSpace
-from stimuli.gltf_animation import mover_poses
+from stimuli.many_poses import mover_poses
 from stimuli.scene import Mover
 
 KNOT_STEP_S = Fraction(8, 1000)

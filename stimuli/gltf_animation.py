@@ -11,8 +11,6 @@ from typing import Literal
 
 import numpy as np
 
-from stimuli.scene import PoseTrack
-
 Interpolation = Literal["LINEAR", "STEP", "CUBICSPLINE"]
 TargetPath = Literal["translation", "rotation", "scale"]
 
@@ -166,22 +164,6 @@ class Rig:
         for level in self._levels[1:]:
             world[level] = world[self._parent[level]] @ world[level]
         return world
-
-
-def mover_poses(tracks: Sequence[PoseTrack], time_s: np.ndarray) -> np.ndarray:
-    """(M, T, 4, 4) local-to-world matrices of M tracks at (T,) times; tracks of one `Rig` are evaluated together."""
-    time_s = np.atleast_1d(np.asarray(time_s, np.float64))
-    worlds: dict[int, np.ndarray] = {}
-    result = np.empty((len(tracks), time_s.size, 4, 4))
-    for i, track in enumerate(tracks):
-        if isinstance(track, NodeTrack):
-            if id(track.rig) not in worlds:
-                worlds[id(track.rig)] = track.rig.poses(time_s)
-            world = worlds[id(track.rig)][track.rig.row[track.node]]
-            result[i] = world if track.below is None else world @ track.below
-        else:
-            result[i] = track.pose(time_s)
-    return result
 
 
 @dataclass(frozen=True)

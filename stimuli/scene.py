@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, field, replace
-from typing import Literal, Protocol
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -24,6 +24,20 @@ class PoseTrack(Protocol):
 
     def pose(self, time_s: np.ndarray) -> np.ndarray:
         """(T,) float64 scene seconds -> (T, 4, 4) float64 local-to-world matrices. End values hold outside the keys."""
+        ...
+
+
+@runtime_checkable
+class MountedTrack(PoseTrack, Protocol):
+    """A track that moves along with another, its ``carrier``: ``pose(t)`` is ``pose_on(carrier.pose(t), t)``."""
+
+    @property
+    def carrier(self) -> PoseTrack:
+        """What it is mounted on."""
+        ...
+
+    def pose_on(self, carrier_pose: np.ndarray, time_s: np.ndarray) -> np.ndarray:
+        """(T, 4, 4) local-to-world matrices, given those of the carrier at (T,) times."""
         ...
 
 

@@ -134,7 +134,7 @@ def degenerate(folder: Path) -> None:
 
 def crowd(folder: Path) -> None:
     """2,000 moving nodes: a body each, all poses at once."""
-    from stimuli.gltf_animation import mover_poses
+    from stimuli.many_poses import mover_poses
 
     glb = TinyGlb()
     mesh = glb.mesh(TRIANGLE)

@@ -11,16 +11,13 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from stimuli.gltf_animation import (
     Channel,
-    NodeTrack,
     Rig,
     RigNode,
     compose,
-    mover_poses,
     sample_keys,
     slerp,
     unit,
 )
-from stimuli.scene import StillTrack
 
 AT = np.linspace(-0.5, 3.5, 41)
 TIMES = np.array([0.0, 0.3, 1.0, 2.5, 3.0])
@@ -131,15 +128,6 @@ def test_a_rig_multiplies_parents_before_children_whatever_their_order() -> None
         assert np.allclose(poses[rig.row[2], k], first)
         assert np.allclose(poses[rig.row[4], k], second)
         assert np.allclose(poses[rig.row[9], k], third)
-
-
-def test_poses_of_many_tracks_at_once_are_those_of_each() -> None:
-    rig, _ = chain()
-    below = compose(np.ones(3), random_turns(2, 1)[0], np.ones(3))
-    tracks = [NodeTrack(rig, 9), NodeTrack(rig, 4, below), StillTrack(below)]
-    together = mover_poses(tracks, AT)
-    for track, got in zip(tracks, together, strict=True):
-        assert np.array_equal(got, track.pose(AT))
 
 
 def test_times_far_from_zero_keep_their_precision() -> None:
