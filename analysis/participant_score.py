@@ -161,8 +161,14 @@ def constrained(quadrature: Quadrature, start: np.ndarray, k: int, value: float,
 
 
 def _climbed(quadrature: Quadrature, theta: np.ndarray, free: list[int], ordered: int) -> Maximum | None:
-    """Newton's method from ``theta`` over its ``free`` entries, with step halving."""
-    value, scores, information = quadrature.expansion(theta[:-1], theta[-1])
+    """Newton's method from ``theta`` over its ``free`` entries, with step halving: to where the scores' sums are 0.
+
+    A step is judged by the likelihood at the nodes that gave it, and the nodes follow then. (By nodes that move along
+    the score is not quite the likelihood's slope: with few of them a search for the highest value went on for hundreds
+    of evaluations, and often found no end.)
+    """
+    nodes = quadrature.nodes(theta[:-1], theta[-1])
+    value, scores, information = quadrature.expansion(theta[:-1], theta[-1], nodes)
     for _ in range(60):
         if theta[-1] == MAX_SD and scores[:, -1].sum() > 0:
             free = [j for j in free if j < len(theta) - 1]
@@ -176,15 +182,15 @@ def _climbed(quadrature: Quadrature, theta: np.ndarray, free: list[int], ordered
             trial[free] += factor * step
             # the likelihood does not know the sign of the standard deviation
             trial[-1] = min(abs(trial[-1]), MAX_SD)
-            if np.all(np.diff(trial[:ordered]) > 0):
-                reached = quadrature.expansion(trial[:-1], trial[-1])
-                if reached[0] >= value - 1e-12 * (1 + abs(value)):
-                    break
+            ordinary = np.all(np.diff(trial[:ordered]) > 0)
+            if ordinary and quadrature.value(trial[:-1], trial[-1], nodes) >= value - 1e-12 * (1 + abs(value)):
+                break
             factor /= 2
         else:
             # nothing higher: as near as the quadrature tells, a thirtieth of a standard error at most
             return (theta, scores, information) if gain < 1e-3 else None
-        theta, (value, scores, information) = trial, reached
+        theta, nodes = trial, quadrature.nodes(trial[:-1], trial[-1])
+        value, scores, information = quadrature.expansion(theta[:-1], theta[-1], nodes)
         if gain < 1e-10 and factor == 1.0:
             # the next step is of the order of this one's square
             return theta, scores, information

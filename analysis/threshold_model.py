@@ -174,6 +174,10 @@ def fit_fixed(bounds: Bounds, start: np.ndarray, link: str) -> ThresholdFit:
     return ThresholdFit(phi, covariance, value, 0.0, 0.0, converged)
 
 
+Nodes = tuple[np.ndarray, np.ndarray]
+"""Values of each group's random intercept (groups, nodes), and their scale (groups,)."""
+
+
 class Quadrature:
     """Log-likelihood and gradient of a model with one random intercept; keeps each group's mode between calls.
 
@@ -218,16 +222,28 @@ class Quadrature:
         gradient = self.bounds.upper.T @ mean_a + self.bounds.lower.T @ mean_b
         return log_likelihood, np.append(gradient, by_sd)
 
-    def expansion(self, phi: np.ndarray, sd: float) -> tuple[float, np.ndarray, np.ndarray]:
+    def nodes(self, phi: np.ndarray, sd: float) -> Nodes:
+        """Where the integrals are evaluated: about every group's mode at (phi, sd)."""
+        u, curve = self._modes(*self.bounds.at(phi), sd)
+        tau = 1 / np.sqrt(curve)
+        return u[:, None] + math.sqrt(2) * tau[:, None] * self.t, tau
+
+    def value(self, phi: np.ndarray, sd: float, nodes: Nodes) -> float:
+        """The log-likelihood by given nodes; `expansion` by the same nodes has its derivatives."""
+        points, tau = nodes
+        value, *_ = self._terms(*self.bounds.at(phi), sd * points[self.codes])
+        total = _normalised(self._sum(value) - points**2 / 2 + self.log_weight)[1]
+        return float(np.sum(total + np.log(tau) - 0.5 * math.log(math.pi)))
+
+    def expansion(self, phi: np.ndarray, sd: float, nodes: Nodes | None = None) -> tuple[float, np.ndarray, np.ndarray]:
         """Log-likelihood, every group's score by (phi, sd) (groups, parameters), and the observed information.
 
-        Fisher's identity and Louis's (1982): score E[s], information -E[h] - Var(s), over a group's random intercept.
+        Fisher's identity and Louis's (1982): score E[s], information -E[h] - Var(s), over a group's random intercept;
+        by ``nodes``, else by those about the modes at (phi, sd).
         """
         upper, lower = self.bounds.upper, self.bounds.lower
         a, b = self.bounds.at(phi)
-        u, curve = self._modes(a, b, sd)
-        tau = 1 / np.sqrt(curve)
-        points = u[:, None] + math.sqrt(2) * tau[:, None] * self.t
+        points, tau = self.nodes(phi, sd) if nodes is None else nodes
         value, ga, gb, haa, hbb, hab = self._terms(a, b, sd * points[self.codes])
         joint = self._sum(value) - points**2 / 2 + self.log_weight
         posterior, total = _normalised(joint)

@@ -62,6 +62,29 @@ def test_a_grid_and_nodes_about_the_mode_agree_where_both_are_good() -> None:
     assert Quadrature(bounds, groups, "logit", 41, wide=True).evaluate(np.array([0.3]), 1.2)[0] == pytest.approx(near)
 
 
+@pytest.mark.parametrize("nodes", [5, 9, 15])
+def test_few_nodes_find_the_same_interval(nodes: int) -> None:
+    """A search for the highest value by 9 nodes that move found no end here, and the interval was (-2.3, 3.1)."""
+    counts = [5, 12, 3, 4, 2, 11, 6, 6, 12, 1, 4, 6]
+    few, many = (analysis.binomial_mixed(answers(counts, 12), "yes ~ 1", "who", nodes=n).iloc[0] for n in (nodes, 41))
+    assert few["t"] == pytest.approx(many["t"], rel=0.02)
+    for end, right in (("ci_low", -1.067), ("ci_high", 1.862)):
+        assert many[end] == pytest.approx(right, abs=1e-3)
+        assert few[end] == pytest.approx(many[end], rel=0.05)
+
+
+def test_a_step_is_judged_by_the_nodes_that_gave_it() -> None:
+    bounds, groups = intercepts([1, 9, 5, 11, 6, 12], 12)
+    quadrature = Quadrature(bounds, groups, "logit", 5)
+    phi, sd, h = np.array([0.3]), 1.7, 1e-5
+    nodes = quadrature.nodes(phi, sd)
+    value, scores, _ = quadrature.expansion(phi, sd, nodes)
+    assert quadrature.value(phi, sd, nodes) == pytest.approx(value, rel=1e-14)
+    by_phi = (quadrature.value(phi + h, sd, nodes) - quadrature.value(phi - h, sd, nodes)) / (2 * h)
+    by_sd = (quadrature.value(phi, sd + h, nodes) - quadrature.value(phi, sd - h, nodes)) / (2 * h)
+    np.testing.assert_allclose(scores.sum(axis=0), [by_phi, by_sd], rtol=1e-6)
+
+
 def test_the_ends_of_the_interval_are_just_rejected() -> None:
     bounds, groups = intercepts([2, 9, 5, 11, 7, 8, 10, 4], 12)
     fit = fit_mixed(bounds, groups, fit_fixed(bounds, np.zeros(1), "logit"), "logit", 21, 0)

@@ -147,7 +147,7 @@ def _scales(t: pd.DataFrame) -> dict[str, float]:
 
 def _cumulative(t: pd.DataFrame) -> dict[str, float]:
     two = t[t["technique"] != "t2"]
-    made = analysis.cumulative_link(two, "rating ~ technique", random="participant", nodes=9, test="participants")
+    made = analysis.cumulative_link(two, "rating ~ technique", random="participant", test="participants")
     row = int(np.flatnonzero(made["term"] == "techniquet1")[0])
     wald = special.chdtrc(1, float(made["z"].iloc[row]) ** 2)
     return {
@@ -160,7 +160,7 @@ def _cumulative(t: pd.DataFrame) -> dict[str, float]:
 
 def _binomial(t: pd.DataFrame) -> dict[str, float]:
     one = t[t["pair"] == 0]
-    made = analysis.binomial_mixed(one, "chosen ~ 1", random="participant", nodes=9)
+    made = analysis.binomial_mixed(one, "chosen ~ 1", random="participant")
     wald = special.chdtrc(1, float(made["z"].iloc[0]) ** 2)
     return {
         "binomial_mixed p": _hit(made),
