@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from analysis.blocks import number, p_words
-from analysis.planned_test import Result
+from analysis.planned_test import Result, adjustment_name, reported_p, sphericity_corrected
 from analysis.results import BOUNDARY, TOO_FEW_SUBJECTS
 from analysis.rows import rows_of_table
 
@@ -36,13 +36,37 @@ def sentences(result: Result) -> list[str]:
         levels = [str(row[factor]) for factor in result.test.separately_by if factor in row]
         own = replace(result, test=replace(result.test, name=", ".join([result.test.name, *levels])))
         if status == "ok":
-            said.append(make(own, row))
+            said.append(_in_family(result, row, make(own, row)))
         elif _has_numbers(status, row):
-            said.append(f"{make(own, row)[:-1]} ({row['note']}).")
+            said.append(f"{_in_family(result, row, make(own, row))[:-1]} ({row['note']}).")
         else:
             name = row.get("effect") or row.get("item") or row.get("term") or result.test.name
             said.append(f"{own.test.name}, {name}: {row['status'].replace('_', ' ')} ({row.get('note', '')}).")
     return said
+
+
+def _in_family(result: Result, row: Mapping[str, Any], sentence: str) -> str:
+    """The sentence with the p value adjusted over the family of tests that the plan names."""
+    p, attrs = float(row.get("p_family", np.nan)), result.table.attrs
+    if not np.isfinite(p) or result.test.test == "posthoc_t":
+        return sentence
+    how = str(attrs.get("family_adjust", "holm"))
+    return f"{sentence[:-1]}, {_p_adjusted(p, how)} (family of {attrs.get('family_size')})."
+
+
+def _p_adjusted(p: float, method: str) -> str:
+    label = "uncorrected " if method == "none" else ""
+    mark = "" if method == "none" else f"_{adjustment_name(method)}"
+    return f"{label}p{mark}{p_words(p)[1:]}"
+
+
+def _alike(result: Result, row: Mapping[str, Any]) -> pd.DataFrame:
+    """The rows made with ``row``: those of the same levels of ``separately_by``."""
+    table = result.table
+    for name in result.test.separately_by:
+        if name in table and name in row:
+            table = table[table[name] == row[name]]
+    return table
 
 
 def _has_numbers(status: str, row: Mapping[str, Any]) -> bool:
@@ -53,14 +77,12 @@ def _has_numbers(status: str, row: Mapping[str, Any]) -> bool:
 
 
 def _anova(result: Result, row: Mapping[str, Any]) -> str:
-    eps = float(row.get("eps_gg", np.nan))
-    corrected = np.isfinite(eps) and eps < 0.9999 and row["df1"] > 1
+    eps, corrected = float(row.get("eps_gg", np.nan)), sphericity_corrected(row)
     if corrected:
         df = f"{number(row['df1'] * eps, 2)}, {number(row['df2'] * eps, 2)}"
     else:
         df = f"{row['df1']:g}, {row['df2']:g}"
-    p = row["p_gg"] if corrected else row["p"]
-    text = f"{result.test.name}, {row['effect']}: F({df}) = {number(row['F'], 2)}, {p_words(p)}"
+    text = f"{result.test.name}, {row['effect']}: F({df}) = {number(row['F'], 2)}, {p_words(reported_p(row))}"
     if "eta2_generalized" in row:
         text += f", η²_G = {_share(row['eta2_generalized'])}, η²_p = {_share(row['eta2_partial'])}"
         low, high = (float(row.get(f"eta2_partial_{end}", np.nan)) for end in ("low", "high"))
@@ -78,16 +100,17 @@ def _ranks(result: Result, row: Mapping[str, Any]) -> str:
 
 def _friedman(result: Result, row: Mapping[str, Any]) -> str:
     text = f"{result.test.name}: χ²_F({row['df']:g}) = {number(row['chi2'], 2)}, {p_words(row['p'])}"
-    return f"{text}, W = {_share(row['kendall_w'])}, N = {result.n_subjects}."
+    return f"{text}, W = {_share(row['kendall_w'])}, N = {row['n']:g}."
 
 
 def _posthoc(result: Result, row: Mapping[str, Any]) -> str:
-    adjust = str(result.table.attrs.get("adjust") or result.test.options.get("adjust") or "holm").capitalize()
+    attrs, together = result.table.attrs, "p_family" in row
+    adjust = str(attrs.get("family_adjust" if together else "adjust") or "holm")
     text = f"{row['a']} − {row['b']}: t({row['df']:g}) = {number(row['t'], 2)}"
-    text += f", p_{adjust}{p_words(row.get('p_family', row['p_adjusted']))[1:]}"
+    text += f", {_p_adjusted(row['p_family'] if together else row['p_adjusted'], adjust)}"
     text += f", M_diff = {number(row['mean_diff'], 2)}, {_interval(row['ci_low'], row['ci_high'])}"
     text += f", d_z = {number(row['dz'], 2)}"
-    family = result.table.attrs.get("family_size", len(result.table))
+    family = attrs.get("family_size") if together else int(_alike(result, row)["p"].notna().sum())
     return f"{result.test.name}, {text} (family of {family})."
 
 
@@ -96,24 +119,26 @@ def _choice(result: Result, row: Mapping[str, Any]) -> str:
     if row["unit"] == "participants":
         text = f"{result.test.name}: {row['item']} chosen in {row['share']:.0%} of a participant's answers on average"
         text += f" ({row['participants']} participants, {row['answers']} answers; participants as the unit)"
-        return f"{text}, {interval}, {p_words(row['p'])}."
+        t = f"t({row['df']:g}) = {number(row['t'], 2)}, " if np.isfinite(row.get("t", np.nan)) else ""
+        p0 = number(float(result.test.options.get("p0") or 0.5), 2).replace("0.", ".", 1)
+        return f"{text}, {interval}, against {p0}: {t}{p_words(row['p'])}."
     counts = f"{row['k']:g} of {row['n']:g} participants ({row['share']:.0%})"
     text = f"{result.test.name}: {row['item']} was chosen by {counts}, {interval} (Clopper-Pearson)"
     return f"{text}, exact binomial {p_words(row['p'])}."
 
 
 def _scale(result: Result, row: Mapping[str, Any]) -> str:
-    estimate = row.get("scale", row.get("ability"))
-    unit = (
-        str(result.test.options.get("unit") or ("JOD" if "scale" in row else "logits"))
-        .upper()
-        .replace("LOGITS", "logits")
-    )
-    if row.get("se") == 0:
+    """Items are told as differences from the origin of their own scale: higher is preferred."""
+    estimate, unit = float(row.get("ability", np.nan)), "logits"
+    if "scale" in row:
+        estimate = float(row["scale"])
+        unit = {"jod": "JOD", "z": "z units"}[str(result.test.options.get("unit") or "jod")]
+    items = _alike(result, row)
+    origin = items.loc[items["se"] == 0, "item"]
+    if row.get("se") == 0 or origin.empty:
         return f"{result.test.name}: {row['item']} is the origin of the scale (0 {unit})."
-    return (
-        f"{result.test.name}: {row['item']} {number(estimate, 2)} {unit}, {_interval(row['ci_low'], row['ci_high'])}."
-    )
+    interval = _interval(row["ci_low"], row["ci_high"])
+    return f"{result.test.name}: {row['item']} − {origin.iloc[0]}: {number(estimate, 2)} {unit}, {interval}."
 
 
 def _coefficient(result: Result, row: Mapping[str, Any]) -> str:
@@ -129,17 +154,36 @@ def _coefficient(result: Result, row: Mapping[str, Any]) -> str:
 
 def _wilcoxon(result: Result, row: Mapping[str, Any]) -> str:
     z = f", z = {number(row['z'], 2)}" if np.isfinite(row["z"]) else ""
-    return f"{result.test.name}: W = {row['statistic']:g}{z}, {p_words(row['p'])}, n = {row['n_used']:g}."
+    zeros = f" ({row['zeros']:g} zeros dropped)" if row["zeros"] else ""
+    text = f"{result.test.name}, {row['comparison']}: W = {row['statistic']:g}{z}, {p_words(row['p'])}"
+    return f"{text}, r_rb = {_share(row['rank_biserial'])}, n = {row['n_used']:g}{zeros}."
 
 
 def _tost(result: Result, row: Mapping[str, Any]) -> str:
     bounds = f"[{number(row['low'], 2)}, {number(row['high'], 2)}]"
-    text = f"{result.test.name}: equivalence within {bounds} (TOST): M_diff = {number(row['mean_diff'], 2)}, 90% CI "
-    return f"{text}[{number(row['ci_low'], 2)}, {number(row['ci_high'], 2)}], {p_words(row['p'])}."
+    text = f"{result.test.name}, {row['comparison']}: equivalence within {bounds} (two one-sided tests): "
+    text += f"M_diff = {number(row['mean_diff'], 2)}, 90% CI [{number(row['ci_low'], 2)}, {number(row['ci_high'], 2)}]"
+    t = row["t_low"] if row["p_low"] >= row["p_high"] else row["t_high"]
+    return f"{text}, the larger p of both from t({row['df']:g}) = {number(t, 2)}, {p_words(row['p'])}."
 
 
-def _counts_test(result: Result, row: Mapping[str, Any]) -> str:
-    return f"{result.test.name}: χ²({row['df']:g}) = {number(row['statistic'], 2)}, {p_words(row['p'])}."
+def _mcnemar(result: Result, row: Mapping[str, Any]) -> str:
+    a, b = str(row["comparison"]).split(" − ")
+    text = f"{result.test.name}: of {result.n_subjects} participants {row['b']:g} said yes under {a} only and "
+    return f"{text}{row['c']:g} under {b} only, exact McNemar test, {p_words(row['p'])}."
+
+
+def _cochran(result: Result, row: Mapping[str, Any]) -> str:
+    return f"{result.test.name}: Cochran's Q({row['df']:g}) = {number(row['statistic'], 2)}, {p_words(row['p'])}."
+
+
+def _psychometric(result: Result, row: Mapping[str, Any]) -> str:
+    interval = f"95% CI [{row['ci_low']:.3g}, {row['ci_high']:.3g}]".replace("-", "−")
+    return f"{result.test.name}, {row['parameter']}: {row['estimate']:.3g}".replace("-", "−") + f", {interval}."
+
+
+def _agreement(result: Result, row: Mapping[str, Any]) -> str:
+    return f"{result.test.name}, {row['measure']}: {_share(row['value'])}, {_interval(row['ci_low'], row['ci_high'])}."
 
 
 _SENTENCES = {
@@ -156,8 +200,10 @@ _SENTENCES = {
     "linear_mixed": _coefficient,
     "wilcoxon": _wilcoxon,
     "tost": _tost,
-    "mcnemar": _counts_test,
-    "cochran_q": _counts_test,
+    "mcnemar": _mcnemar,
+    "cochran_q": _cochran,
+    "psychometric": _psychometric,
+    "agreement": _agreement,
 }
 
 

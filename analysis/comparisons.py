@@ -66,8 +66,8 @@ def pair_table(comparisons: pd.DataFrame, p0: float = 0.5) -> pd.DataFrame:
 
 
 CHOICE_COLUMNS = [
-    "unit", "participants", "answers", "k", "n", "share", "p", "log10_p", "exact_low", "exact_high", "pooled_k",
-    "pooled_n", "pooled_share", "status", "note",
+    "unit", "participants", "answers", "k", "n", "share", "t", "df", "p", "log10_p", "exact_low", "exact_high",
+    "pooled_k", "pooled_n", "pooled_share", "status", "note",
 ]  # fmt: skip
 
 
@@ -77,13 +77,16 @@ def choice_row(own: pd.DataFrame, p0: float, subject: str = "participant") -> di
     k, n = int(own["chosen"].sum()), len(own)
     single = bool((answers == 1).all())
     if single:
-        found = binomial_choice(k, n, p0=p0).iloc[0]
+        made = binomial_choice(k, n, p0=p0)
     else:
-        found = binomial_choice(own, choice="chosen", observer=subject, p0=p0).iloc[0]
+        made = binomial_choice(own, choice="chosen", observer=subject, p0=p0)
+    found = made.iloc[0]
     return {
         "unit": "one answer a participant" if single else "participants",
         "participants": len(answers),
         "answers": n,
+        "t": made.attrs.get("t", np.nan),
+        "df": made.attrs.get("df", np.nan),
         **{name: found[name] for name in ("k", "n", "share", "p", "log10_p", "exact_low", "exact_high")},
         "pooled_k": k,
         "pooled_n": n,

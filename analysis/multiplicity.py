@@ -9,7 +9,8 @@ import numpy as np
 from analysis.results import one_of
 
 METHODS = ("holm", "hochberg", "hommel", "bonferroni", "BH", "fdr", "BY", "none")
-_ALIASES = {"fdr_bh": "BH", "bh": "BH", "fdr_by": "BY", "by": "BY"}
+ALIASES = {"fdr_bh": "BH", "bh": "BH", "fdr_by": "BY", "by": "BY"}
+"""Other names of the same methods (statsmodels' and the protocol's)."""
 
 
 def _hommel(p: np.ndarray) -> np.ndarray:
@@ -32,7 +33,7 @@ def adjust_p(p: Any, method: str = "holm") -> np.ndarray:
 
     ``method``: holm, hochberg, hommel, bonferroni, BH (or fdr), BY, none. Raises InputError for another name.
     """
-    method = _ALIASES.get(method, method)
+    method = ALIASES.get(method, method)
     one_of("adjust_p", "method", method, METHODS)
     given = np.asarray(p, dtype=float)
     flat = given.ravel()

@@ -16,7 +16,8 @@ import analysis
 from analysis.comparisons import with_winner
 from analysis.exclusions import catch_results
 from analysis.plan_tests import FEW_SCENES, RUNNERS
-from analysis.planned_test import Plan, Result, Test, column_of
+from analysis.planned_test import Plan, Result, Test, adjustment_name, column_of, reported_p
+from analysis.protocol_facts import level_order
 from analysis.rows import rows_of_table
 from analysis.sessions import Session
 from protocols.trial import is_right
@@ -38,6 +39,8 @@ def plan_of(sessions: Sequence[Session], kept: pd.DataFrame) -> Plan:
     stated = next(iter(plans.values()), None) or {}
     scales = {name: (int(one["low"]), int(one["high"])) for name, one in likert_questions(sessions).items()}
     plan = parse_plan(stated, scales)
+    separate = {name for test in plan.tests for name in test.separately_by}
+    plan = replace(plan, levels={name: level_order(sessions, name) for name in separate})
     return plan if plan.stated else replace(plan, tests=derived_tests(kept, sessions))
 
 
@@ -187,7 +190,12 @@ def _run_separately(test: Test, kept: pd.DataFrame, plan: Plan) -> Result:
         levels = pd.concat([column_of(own, name, test) for name in columns], axis=1).dropna().astype(str)
     except InputError as error:
         return _without(test, "undefined", str(error))
-    found = list(rows_of_table(levels.drop_duplicates().sort_values(columns)))
+    places = {name: {level: i for i, level in enumerate(plan.levels.get(name, ()))} for name in columns}
+    levels = levels.drop_duplicates().sort_values(columns)
+    found = sorted(
+        rows_of_table(levels),
+        key=lambda row: [places[name].get(level, len(places[name])) for name, level in zip(columns, row, strict=True)],
+    )
     if not found:
         return _without(test, "undefined", "no analysed trial answers this test")
     parts, notes = [], []
@@ -203,7 +211,8 @@ def _run_separately(test: Test, kept: pd.DataFrame, plan: Plan) -> Result:
         notes += [f"{', '.join(combination)}: {note}" for note in result.notes]
     first = next((result for result, _ in parts if result.method), parts[0][0])
     joined = pd.concat([table for _, table in parts], ignore_index=True)
-    if "condition" in joined and any(joined["condition"].astype(str).equals(joined[one]) for one in columns):
+    others = [one for one in columns if one != "condition"]
+    if "condition" in joined and any(joined["condition"].astype(str).equals(joined[one]) for one in others):
         joined = joined.drop(columns="condition")  # by each condition under another name
     joined.attrs.update({key: value for key, value in first.table.attrs.items() if key == "adjust"})
     return Result(test, joined, first.method, max(result.n_subjects for result, _ in parts), tuple(notes))
@@ -238,7 +247,8 @@ def _adjust_families(results: Sequence[Result], plan: Plan) -> list[Result]:
             families.setdefault(str(family), []).extend((place, row) for row in _family_rows(result))
     adjusted = list(results)
     for family, members in families.items():
-        p = [float(results[place].table["p"].iloc[row]) for place, row in members]
+        p = [reported_p(results[place].table.iloc[row].to_dict()) for place, row in members]
+        size = int(np.isfinite(p).sum())
         method = next(
             (str(results[i].test.options["adjust"]) for i, _ in members if results[i].test.options.get("adjust")),
             plan.adjust,
@@ -247,13 +257,13 @@ def _adjust_families(results: Sequence[Result], plan: Plan) -> list[Result]:
         for place in dict.fromkeys(place for place, _ in members):
             result = adjusted[place]
             table = result.table.copy()
-            table.attrs["family_size"] = len(members)
+            table.attrs |= {"family_size": size, "family_adjust": method}
             table["p_family"] = np.nan
             for (where, row), value in zip(members, p_family, strict=True):
                 if where == place:
                     table.loc[table.index[row], "p_family"] = float(value)
-            table.attrs.update(result.table.attrs)
-            note = f"p_family: {method} over the {len(members)} tests of family '{family}'"
+            note = f"p_family: {adjustment_name(method)} over the {size} tests of family '{family}'"
+            note += " (Greenhouse-Geisser p where it corrects)." if "p_gg" in table else "."
             adjusted[place] = Result(result.test, table, result.method, result.n_subjects, (*result.notes, note))
     return adjusted
 

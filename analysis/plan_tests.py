@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,11 +13,30 @@ import analysis
 from analysis.blocks import p_words
 from analysis.comparisons import choice_row
 from analysis.planned_test import Plan, Test, column_of
+from analysis.results import TOO_FEW_SUBJECTS
 from stimuli.errors import InputError, problem
 
 
-def _pair(own: pd.DataFrame, dv: str, test: Test) -> tuple[np.ndarray, np.ndarray, pd.Index]:
-    """Participant means of the two levels ``a`` and ``b`` of the first factor, in the same order of participants."""
+@dataclass(frozen=True)
+class _Pair:
+    """Participant means ``x`` and ``y`` at the levels ``a`` and ``b``; ``dropped``: who lacks one of them."""
+
+    x: np.ndarray
+    y: np.ndarray
+    a: str
+    b: str
+    dropped: dict[str, str]
+
+    def named(self, table: pd.DataFrame) -> pd.DataFrame:
+        """The test's table with what was compared in front, and who was left out."""
+        table.insert(0, "comparison", f"{self.a} − {self.b}")
+        table.attrs.setdefault("n_subjects", len(self.x))
+        table.attrs["dropped"] = {**(table.attrs.get("dropped") or {}), **self.dropped}
+        return table
+
+
+def _pair(own: pd.DataFrame, dv: str, test: Test) -> _Pair:
+    """Participant means of the two levels ``a`` and ``b`` of the first factor (else its first and last by name)."""
     factor = test.within[0] if test.within else "condition"
     levels = sorted(column_of(own, factor, test).astype(str).unique())
     a, b = str(test.options.get("a") or levels[0]), str(test.options.get("b") or levels[-1])
@@ -27,7 +47,9 @@ def _pair(own: pd.DataFrame, dv: str, test: Test) -> tuple[np.ndarray, np.ndarra
         own.assign(_level=own[factor].astype(str)).groupby([test.subject, "_level"], sort=False)[dv].mean().unstack()
     )
     both = means[[a, b]].dropna()
-    return both[a].to_numpy(dtype=float), both[b].to_numpy(dtype=float), both.index
+    lost = means.index.difference(both.index, sort=False)
+    dropped = {str(person): f"no value at {a if np.isnan(means.loc[person, a]) else b}" for person in lost}
+    return _Pair(both[a].to_numpy(dtype=float), both[b].to_numpy(dtype=float), a, b, dropped)
 
 
 def _chosen(own: pd.DataFrame, test: Test) -> pd.DataFrame:
@@ -48,11 +70,16 @@ def _binomial_choice(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.D
     else:
         own, name = own.assign(chosen=own[dv]), "right answers"
     row = choice_row(own, p0, test.subject)
+    if row["unit"] != "participants":
+        del row["t"], row["df"]  # an exact test has none
     table = pd.DataFrame([{"item": name, **row}])
-    unit = (
-        "Exact binomial test, one answer a participant" if row["unit"] != "participants" else "Participants as the unit"
-    )
-    table.attrs.update(method=f"{unit}, against {p0:g}.", n_subjects=row["participants"])
+    how = f"Exact two-sided binomial test against {p0:g}, one answer a participant; Clopper-Pearson interval."
+    if row["unit"] == "participants":
+        how = (
+            f"Student's t test of the participants' shares against {p0:g}; interval of Korn and Graubard at the "
+            "effective sample size (near the limit the two can disagree)."
+        )
+    table.attrs.update(method=how, n_subjects=row["participants"])
     return table
 
 
@@ -80,7 +107,11 @@ def _first_within(test: Test) -> str:
 
 
 def _aligned_ranks(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.DataFrame:
-    return analysis.aligned_rank_anova(own, dv=dv, within=list(test.within), subject=test.subject)
+    """Without Mauchly's test: aligned ranks are not corrected for sphericity, so that its lack says nothing of them."""
+    table = analysis.aligned_rank_anova(own, dv=dv, within=list(test.within), subject=test.subject)
+    complete = (table["status"] == TOO_FEW_SUBJECTS) & np.isfinite(table["F"].astype(float))
+    table.loc[complete, ["status", "note"]] = ["ok", ""]
+    return table.drop(columns=["mauchly_w", "mauchly_chi2", "mauchly_df", "mauchly_p"], errors="ignore")
 
 
 def _friedman(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.DataFrame:
@@ -88,24 +119,19 @@ def _friedman(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.DataFram
 
 
 def _wilcoxon(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.DataFrame:
-    x, y, people = _pair(own, dv, test)
-    return _with_n(analysis.wilcoxon(x, y), len(people))
+    pair = _pair(own, dv, test)
+    return pair.named(analysis.wilcoxon(pair.x, pair.y))
 
 
 def _tost(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.DataFrame:
     low, high = test.options.get("low"), test.options.get("high")
     if low is None or high is None:
         raise InputError(problem(f"analysis plan: {test.name}", "bounds", f"low {low}, high {high}", "both bounds"))
-    x, y, people = _pair(own, dv, test)
-    table = _with_n(analysis.tost(x, y, low=float(low), high=float(high)), len(people))
+    pair = _pair(own, dv, test)
+    table = analysis.tost(pair.x, pair.y, low=float(low), high=float(high))
     table.insert(0, "low", float(low))
     table.insert(1, "high", float(high))
-    return table
-
-
-def _with_n(table: pd.DataFrame, n: int) -> pd.DataFrame:
-    table.attrs.setdefault("n_subjects", n)
-    return table
+    return pair.named(table)
 
 
 def _likert_summary(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.DataFrame:
@@ -176,20 +202,24 @@ def _psychometric(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.Data
     x = str(test.options.get("x") or "x")
     own = own.assign(_x=column_of(own, x, test).astype(float))
     right = _chosen(own, test)["chosen"] if test.dv == "choice" else own[dv].astype(float)
-    counted = pd.DataFrame({"x": own.loc[right.index, "_x"], "k": right}).groupby("x")["k"].agg(["sum", "count"])
+    rows = pd.DataFrame({"x": own.loc[right.index, "_x"], "who": own.loc[right.index, test.subject], "k": right})
+    # the participant is the unit: counts stay apart, and errors are those over participants
+    counted = rows.groupby(["who", "x"], sort=False)["k"].agg(["sum", "count"])
     counted = counted.rename(columns={"sum": "k", "count": "n"}).reset_index()
     guess = float(test.options.get("p0") or 0.0)
     return analysis.psychometric(
-        counted, x="x", k="k", n="n", link=str(test.options.get("method") or "logit"), guess=guess
+        counted, x="x", k="k", n="n", link=str(test.options.get("method") or "logit"), guess=guess, observer="who"
     )
 
 
 def _mcnemar(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.DataFrame:
-    x, y, people = _pair(own, dv, test)
-    if not (np.isin(x, (0, 1)).all() and np.isin(y, (0, 1)).all()):
+    pair = _pair(own, dv, test)
+    if not (np.isin(pair.x, (0, 1)).all() and np.isin(pair.y, (0, 1)).all()):
         wanted = "one answer (0 or 1) a participant and level"
         raise InputError(problem(f"analysis plan: {test.name}", "mcnemar", "several answers", wanted))
-    return _with_n(analysis.mcnemar(int(np.sum(x > y)), int(np.sum(x < y)), exact=True), len(people))
+    table = analysis.mcnemar(int(np.sum(pair.x > pair.y)), int(np.sum(pair.x < pair.y)), exact=True)
+    table.attrs["n_subjects"] = len(pair.x)
+    return pair.named(table)
 
 
 def _cochran(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.DataFrame:

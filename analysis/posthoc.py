@@ -13,7 +13,7 @@ from scipy import special
 from analysis.cells import cell_means
 from analysis.effect_sizes import dz_interval
 from analysis.log_tails import log10_t, p_t
-from analysis.multiplicity import METHODS, adjust_p
+from analysis.multiplicity import ALIASES, METHODS, adjust_p
 from analysis.results import OK, TOO_FEW_SUBJECTS, UNDEFINED, ZERO_ERROR_VARIANCE, names_of, one_of, result_table
 
 COLUMNS = [
@@ -71,7 +71,7 @@ def posthoc_t(table: pd.DataFrame, dv: str, within: str, subject: str, adjust: s
     the differences, with its interval by the noncentral t. ``p_adjusted`` over all pairs by ``adjust`` (see
     ``adjust_p``; tests that are undefined do not count in the family). Raises InputError for unknown names.
     """
-    one_of("posthoc_t", "adjust", adjust, METHODS)
+    one_of("posthoc_t", "adjust", adjust, (*METHODS, *ALIASES))
     factors = names_of(within)
     cells = cell_means("posthoc_t", table, dv, factors, subject, [])
     keys = list(itertools.product(*cells.levels))
@@ -86,5 +86,5 @@ def posthoc_t(table: pd.DataFrame, dv: str, within: str, subject: str, adjust: s
         row["p_adjusted"] = float(p)
     n, family = len(cells.subjects), sum(not math.isnan(row["p"]) for row in rows)
     method = f"Paired t tests between levels of {', '.join(factors)}, {n} participants, {adjust} over {family} tests."
-    attrs = {"notes": cells.notes, "family": family}
+    attrs = {"notes": cells.notes, "family": family, "adjust": adjust}
     return result_table(rows, COLUMNS, method=method, n_subjects=n, dropped=cells.dropped, attrs=attrs)
