@@ -1,4 +1,5 @@
-"""The order in which pixels are traced: along a Z curve, so that neighbouring lanes are neighbouring rays."""
+"""The order in which pixels are traced: along a curve that fills the picture, so that neighbouring lanes are
+neighbouring rays."""
 
 from __future__ import annotations
 
@@ -29,6 +30,28 @@ def tile_order(width_px: int, height_px: int) -> np.ndarray:
     columns = _spread_bits(np.arange(width_px))
     rows = _spread_bits(np.arange(height_px)) << np.uint64(1)
     return np.argsort((rows[:, None] | columns[None, :]).ravel(), kind="stable").astype(np.uint32)
+
+
+def hilbert_order(width_px: int, height_px: int) -> np.ndarray:
+    """(W*H,) uint32 scanline indices ``y * W + x`` along a Hilbert curve; every pixel occurs once.
+
+    The curve is that of the smallest square of a power of two that holds the picture, what is outside of it left out.
+    Its steps never leap as a Z curve's do, so that a packet's 16 rays are nearer to one another where most pixels are
+    missing: foveated at 1182x1464, medium, traced in 24.5 ms in the order of `tile_order` and in 22.6 in this one
+    (tunnel_geom, point light), in 97.9 and 91.8 (area light), 49.0 and 45.4 (voxel_city, area light).
+    """
+    bits = (max(width_px, height_px) - 1).bit_length()
+    y, x = (axis.ravel() for axis in np.indices((height_px, width_px), np.int32))
+    along = np.zeros(x.size, np.int64)
+    for bit in reversed(range(bits)):
+        right, down = (x >> bit) & 1, (y >> bit) & 1
+        along = (along << 2) | ((3 * right) ^ down)
+        # Into the quadrant's own frame: mirrored in the upper right one, transposed in both upper ones.
+        mask = (1 << bit) - 1
+        mirror = -(right & (1 - down)) & mask
+        x, y = (x & mask) ^ mirror, (y & mask) ^ mirror
+        x, y = np.where(down, x, y), np.where(down, y, x)
+    return np.argsort(along, kind="stable").astype(np.uint32)
 
 
 def inverse_order(order: np.ndarray) -> np.ndarray:

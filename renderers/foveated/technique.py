@@ -19,7 +19,6 @@ from renderers.engine import LARGEST, Engine, EngineState
 from renderers.eye_angles import pixel_eccentricity_deg, plane_values
 from renderers.foveated.compose import NO_SAMPLE, OVERWRITES, Picture, Samples, compose, first_picture
 from renderers.foveated.eyes import Eyes
-from renderers.foveated.hilbert import hilbert_order
 from renderers.foveated.mesh_blocks import SIZES, BlockMesh, blocks_of, flat_blocks
 from renderers.foveated.post_filter import filter_light
 from renderers.foveated.reprojection import look, mark
@@ -29,7 +28,7 @@ from renderers.foveated.words import Layout, float_pair, packed
 from renderers.frozen import frozen, opaque_float, opaque_uint
 from renderers.parameters import Foveated as FoveatedParameters
 from renderers.parameters import Vanilla as VanillaParameters
-from renderers.pixels import inverse_order
+from renderers.pixels import hilbert_order, inverse_order
 from renderers.rng import combined
 from renderers.stopwatch import Stopwatch
 from renderers.technique import Frame, Measure, View

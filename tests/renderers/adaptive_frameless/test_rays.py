@@ -7,7 +7,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from renderers.adaptive_frameless.rays import CELL_PX, IN, LUMA, OUT, PACKET, FramelessRays, coherent_order
+from renderers.adaptive_frameless.rays import IN, LUMA, OUT, PACKET, FramelessRays, coherent_order, hilbert_ranks
 from renderers.clip_frames import view_at
 from renderers.engine import Engine
 from stimuli.encode import display_values
@@ -22,7 +22,7 @@ def rows_at(count: int, size_px: tuple[int, int] = (256, 256), seed: int = 0) ->
 
 def ordered(rows: np.ndarray) -> np.ndarray:
     order = np.full(len(rows), 1 << 30, np.uint32)
-    coherent_order(rows, order)
+    coherent_order(rows, hilbert_ranks(), order)
     return order
 
 
@@ -34,10 +34,17 @@ def test_every_row_has_one_lane(count: int) -> None:
 def test_a_packet_of_lanes_sees_one_part_of_the_picture() -> None:
     rows = rows_at(6666)
     packets = ordered(rows)[: 6666 // PACKET * PACKET].reshape(-1, PACKET)
-    spread = np.ptp(rows[packets, 1], axis=1)
-    # 6.5 samples a cell: a packet is a run of three cells of one row of cells, or goes on in the next
-    assert np.median(spread) <= CELL_PX
-    assert np.median(np.ptp(rows[np.arange(len(packets) * PACKET).reshape(-1, PACKET), 1], axis=1)) > 10 * CELL_PX
+    # 16 of 6,666 samples fill a square of 12.6 px
+    for axis in (0, 1):
+        assert np.median(np.ptp(rows[packets, axis], axis=1)) < 20
+        assert np.median(np.ptp(rows[np.arange(packets.size).reshape(packets.shape), axis], axis=1)) > 200
+
+
+@pytest.mark.parametrize("size_px", [(1e-6, 1e-6), (1, 4000), (4000, 1), (1e7, 1e7)])
+def test_rows_of_any_extent_are_ordered(size_px: tuple[float, float]) -> None:
+    rows = np.zeros((100, IN), np.float32)
+    rows[:, :2] = np.random.default_rng(0).uniform(0, size_px, (100, 2)) - np.divide(size_px, 2)
+    np.testing.assert_array_equal(np.sort(ordered(rows)), np.arange(100))
 
 
 def test_neighbouring_packets_are_dealt_out() -> None:
@@ -68,7 +75,7 @@ def test_the_order_of_lanes_changes_no_result(monkeypatch: pytest.MonkeyPatch) -
     rows[::3, 3:8] = 0.1, 0.2, -0.5, -0.01, 1.0
     found = []
 
-    def backwards(rows: np.ndarray, order: np.ndarray) -> None:
+    def backwards(rows: np.ndarray, ranks: np.ndarray, order: np.ndarray) -> None:
         order[:] = np.arange(len(rows))[::-1]
 
     for order in (coherent_order, backwards):
