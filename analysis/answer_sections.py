@@ -62,7 +62,8 @@ def _preference_blocks(chosen: pd.DataFrame, checks: pd.DataFrame, suffix: str) 
     caption = f"Win matrix: row chosen over column ({POOLED})"
     blocks.append(figure_block(f"win-matrix{suffix}", caption, "win_matrix", matrix))
     scale = analysis.bradley_terry(chosen, winner="winner", loser="loser", observer="participant")
-    caption, method = "Bradley-Terry scale (the first item is the origin)", str(scale.attrs.get("method", ""))
+    method = f"{scale.attrs.get('method', '')} Higher: chosen more often."
+    caption = f"Bradley-Terry scale (origin: {scale['item'].iloc[0]})" if "item" in scale else "Bradley-Terry scale"
     blocks.append(table_block(f"scale{suffix}", caption, scale, shown.RESULT_COLUMNS["bradley_terry"], method))
     points = [
         {"item": r.item, "estimate": _finite(r.ability), "low": _finite(r.ci_low), "high": _finite(r.ci_high)}
@@ -94,7 +95,8 @@ def _speed_preference(points: Sequence[Mapping[str, Any]], checks: pd.DataFrame,
 def likert_section(kept: pd.DataFrame, sessions: Sequence[Session]) -> dict[str, Any] | None:
     """Per question: diverging bars and means by condition, interaction with the second factor, the counts.
 
-    A factor's levels stand as the protocol lists them, else by their means.
+    A factor's levels stand as the protocol lists them, else by their means. A question that several blocks ask is shown
+    block by block.
     """
     questions = likert_questions(sessions)
     factors = within_factors(kept, sessions)
@@ -102,10 +104,13 @@ def likert_section(kept: pd.DataFrame, sessions: Sequence[Session]) -> dict[str,
     for name, question in questions.items():
         dv = f"rating_{name}"
         own = kept[np.isfinite(kept[dv].astype(float))] if dv in kept else kept.iloc[:0]
-        if len(own):
-            shown_factors = factors[:3] or ["condition"]
-            levels = {factor: _levels(own, dv, factor, sessions) for factor in shown_factors}
-            blocks += _likert_blocks(own, name, dv, question, levels)
+        names = list(dict.fromkeys(own["block"]))
+        for place, block in enumerate(names):
+            rated = own[own["block"] == block].reset_index(drop=True)
+            shown_factors = within_factors(rated, sessions)[:3] if len(names) > 1 else factors[:3]
+            levels = {factor: _levels(rated, dv, factor, sessions) for factor in shown_factors or ["condition"]}
+            title, suffix = (f"{name}, block {block}", f"-{block}") if len(names) > 1 else (name, "")
+            blocks += _likert_blocks(rated, title, f"{name}{suffix if place else ''}", dv, question, levels)
     return section("likert", "Ratings", blocks) if blocks else None
 
 
@@ -116,9 +121,10 @@ def _levels(own: pd.DataFrame, dv: str, factor: str, sessions: Sequence[Session]
 
 
 def _likert_blocks(
-    own: pd.DataFrame, name: str, dv: str, question: Mapping[str, Any], levels_of: Mapping[str, Sequence[str]]
+    own: pd.DataFrame, name: str, key: str, dv: str, question: Mapping[str, Any], levels_of: Mapping[str, Sequence[str]]
 ) -> list[Block]:
-    """``levels_of``: the levels of the first factors in the order in which they are shown, the main one first."""
+    """``name`` in words, ``key`` in ids; ``levels_of``: the levels of the first factors in the order in which they are
+    shown, the main one first."""
     low, high = int(question["low"]), int(question["high"])
     main, *others = levels_of
     levels = list(levels_of[main])
@@ -142,10 +148,12 @@ def _likert_blocks(
         {"label": one, "n": int(counts.loc[one].to_numpy().sum()), "shares": shares.loc[one].to_numpy()}
         for one in levels
     ]
-    blocks: list[Block] = [words_block(f"“{question['text']}” ({name}; {', '.join(words) or f'{low} to {high}'}).")]
+    blocks: list[Block] = [
+        words_block(f"“{question['text']}” ({name}; {', '.join(words) or f'{number(low, 0)} to {number(high, 0)}'}).")
+    ]
     alt = f"Ratings of {name} by {main}, stacked from {low} to {high}, the neutral answers split at zero"
     bars = {"rows": rows, "categories": [number(int(c), 0) for c in categories]}
-    blocks.append(figure_block(f"likert-{name}", f"{name}: answers by {main}", "likert_bars", bars, alt))
+    blocks.append(figure_block(f"likert-{key}", f"{name}: answers by {main}", "likert_bars", bars, alt))
     columns = [(main, main, "text"), ("n", "answers", "int"), ("mean", "mean", "f2"), ("sd", "SD", "f2")]
     columns += [("median", "median", "f1"), *((share, share, "pct0") for share in ("disagree", "neutral", "agree"))]
     means = cell_means(own, dv, [main])
@@ -162,15 +170,15 @@ def _likert_blocks(
     }
     n = own["participant"].nunique()
     caption = f"{name}: means with 95 % within-subject intervals (Cousineau-Morey), n = {n} participants (dots)"
-    blocks.append(figure_block(f"means-{name}", caption, "means", data))
+    blocks.append(figure_block(f"means-{key}", caption, "means", data))
     for other in others:
-        blocks.append(_interaction(own, name, dv, main, other, levels_of, (low, high)))
-    blocks.append(table_block(f"summary-{name}", f"{name}: answers ({POOLED})", summary, columns))
+        blocks.append(_interaction(own, name, key, dv, main, other, levels_of, (low, high)))
+    blocks.append(table_block(f"summary-{key}", f"{name}: answers ({POOLED})", summary, columns))
     return blocks
 
 
 def _interaction(
-    own: pd.DataFrame, name: str, dv: str, main: str, other: str, levels_of: Mapping[str, Sequence[str]],
+    own: pd.DataFrame, name: str, key: str, dv: str, main: str, other: str, levels_of: Mapping[str, Sequence[str]],
     scale: tuple[int, int],
 ) -> Block:  # fmt: skip
     cells = cell_means(own, dv, [main, other])
@@ -187,5 +195,5 @@ def _interaction(
         "y_limits": [scale[0] - 0.2, scale[1] + 0.2],
     }
     return figure_block(
-        f"interaction-{name}-{other}", f"{name}: {main} by {other} (95 % within-subject intervals)", "means", data
+        f"interaction-{key}-{other}", f"{name}: {main} by {other} (95 % within-subject intervals)", "means", data
     )

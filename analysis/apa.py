@@ -33,6 +33,8 @@ def sentences(result: Result) -> list[str]:
     said = []
     for row in ({str(key): value for key, value in one.items()} for one in result.table.to_dict("records")):
         status = row.get("status", "ok")
+        if result.test.test == "cumulative_link" and "|" in str(row.get("term", "")):
+            continue  # thresholds between answers are no hypotheses
         levels = [str(row[factor]) for factor in result.test.separately_by if factor in row]
         own = replace(result, test=replace(result.test, name=", ".join([result.test.name, *levels])))
         if status == "ok":
@@ -117,7 +119,10 @@ def _posthoc(result: Result, row: Mapping[str, Any]) -> str:
 def _choice(result: Result, row: Mapping[str, Any]) -> str:
     interval = f"95% CI [{row['exact_low']:.0%}, {row['exact_high']:.0%}]"
     if row["unit"] == "participants":
-        text = f"{result.test.name}: {row['item']} chosen in {row['share']:.0%} of a participant's answers on average"
+        said = f"{row['item']} chosen in {row['share']:.0%} of a participant's answers"
+        if result.test.dv == "correct":
+            said = f"{row['share']:.0%} of a participant's answers right"
+        text = f"{result.test.name}: {said} on average"
         text += f" ({row['participants']} participants, {row['answers']} answers; participants as the unit)"
         t = f"t({row['df']:g}) = {number(row['t'], 2)}, " if np.isfinite(row.get("t", np.nan)) else ""
         p0 = number(float(result.test.options.get("p0") or 0.5), 2).replace("0.", ".", 1)
@@ -183,7 +188,8 @@ def _psychometric(result: Result, row: Mapping[str, Any]) -> str:
 
 
 def _agreement(result: Result, row: Mapping[str, Any]) -> str:
-    return f"{result.test.name}, {row['measure']}: {_share(row['value'])}, {_interval(row['ci_low'], row['ci_high'])}."
+    interval = f"95% CI [{_share(row['ci_low'])}, {_share(row['ci_high'])}]"
+    return f"{result.test.name}, {row['measure']}: {_share(row['value'])}, {interval}."
 
 
 _SENTENCES = {

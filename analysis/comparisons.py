@@ -9,6 +9,8 @@ import numpy as np
 import pandas as pd
 
 from analysis import adjust_p, binomial_choice
+from analysis.rows import rows_of_table
+from protocols.trial import is_right
 
 POOLED = "pooled, not for inference"
 
@@ -26,6 +28,28 @@ def with_winner(table: pd.DataFrame, question: str | None = None) -> pd.DataFram
     chosen["winner"] = [answer for _, answer in kept]
     chosen["loser"] = [pair[1] if pair[0] == answer else pair[0] for pair, answer in kept]
     return chosen.reset_index(drop=True)
+
+
+def adaptive_level(conditions: str) -> float:
+    """The value at which an adaptive trial's test stood ('full|less@400' -> 400); nan for other trials."""
+    parts = [one.partition("@") for one in str(conditions).split("|")]
+    values = [value for _, mark, value in parts if mark]
+    try:
+        return float(values[0]) if len(parts) == 2 and len(values) == 1 else np.nan
+    except ValueError:
+        return np.nan
+
+
+def right_answers(table: pd.DataFrame) -> pd.DataFrame:
+    """The trials with a right answer, ``right`` 0/1: a known answer, or in adaptive trials the standard's choice."""
+    known = table["correct"].notna()
+    adaptive = ~known & table["winner"].notna() & table["condition"].map(adaptive_level).notna()
+    own = table[known | adaptive].copy()
+    own["right"] = [
+        float(is_right(str(one.correct), str(one.side), str(one.response)) if known[i] else "@" not in str(one.winner))
+        for i, one in zip(own.index, rows_of_table(own), strict=True)
+    ]
+    return own
 
 
 def conditions_of(comparisons: pd.DataFrame) -> list[str]:

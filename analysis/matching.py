@@ -39,10 +39,10 @@ def unmatched_comparisons(sessions: Sequence[Session]) -> list[tuple[str, list[s
     for session in sessions:
         for trial in session.header.get("plan") or []:
             compared = [p for p in trial.get("panels", ()) if p.get("role") == "candidate"]
-            if len(compared) > 1 and not trial.get("practice"):
+            if len(compared) > 1 and not trial.get("practice") and not trial.get("catch"):
                 loose = {str(p["condition"]): None for p in compared if str(p["condition"]) not in equal}
                 found.setdefault(str(trial["block"]), {}).update(loose)
-    return [(block, list(conditions)) for block, conditions in found.items() if conditions]
+    return [(block, sorted(conditions)) for block, conditions in found.items() if conditions]
 
 
 def _shown_clips(sessions: Sequence[Session]) -> dict[tuple[str, str], tuple[Mapping[str, Any], float]]:

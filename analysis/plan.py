@@ -13,14 +13,13 @@ import numpy as np
 import pandas as pd
 
 import analysis
-from analysis.comparisons import with_winner
+from analysis.comparisons import right_answers, with_winner
 from analysis.exclusions import catch_results
 from analysis.plan_tests import FEW_SCENES, RUNNERS
 from analysis.planned_test import Plan, Result, Test, adjustment_name, column_of, reported_p
 from analysis.protocol_facts import level_order
 from analysis.rows import rows_of_table
 from analysis.sessions import Session
-from protocols.trial import is_right
 from stimuli.errors import InputError, problem
 
 _NAMED = ("name", "test", "dv", "within", "between", "subject", "where", "separately_by", "effects")
@@ -157,12 +156,7 @@ def rows_of(kept: pd.DataFrame, test: Test) -> tuple[pd.DataFrame, str]:
     for column, levels in test.where.items():
         own = own[column_of(own, column, test).astype(str).isin(levels)]
     if test.dv in ("choice", "correct"):
-        own = with_winner(own, question) if test.dv == "choice" else own[own["correct"].notna()].copy()
-        if test.dv == "correct":
-            own["right"] = [is_right(str(r.correct), str(r.side), str(r.response)) for r in rows_of_table(own)]
-            own["right"] = own["right"].astype(float)
-            return own, "right"
-        return own, "chosen"
+        return (with_winner(own, question), "chosen") if test.dv == "choice" else (right_answers(own), "right")
     dv = f"{test.dv}_{question}" if question else test.dv
     values = column_of(own, dv, test).astype(float)
     return own[np.isfinite(values)].reset_index(drop=True), dv
@@ -209,13 +203,16 @@ def _run_separately(test: Test, kept: pd.DataFrame, plan: Plan) -> Result:
             table.insert(place, column, level)
         parts.append((result, table))
         notes += [f"{', '.join(combination)}: {note}" for note in result.notes]
-    first = next((result for result, _ in parts if result.method), parts[0][0])
+    said = list(dict.fromkeys(result.method for result, _ in parts if result.method))
+    if len(said) > 1:  # where levels differ (in who answered), each has its own sentence
+        said = [f"{', '.join(one)}: {part.method}" for one, (part, _) in zip(found, parts, strict=True) if part.method]
     joined = pd.concat([table for _, table in parts], ignore_index=True)
     others = [one for one in columns if one != "condition"]
     if "condition" in joined and any(joined["condition"].astype(str).equals(joined[one]) for one in others):
         joined = joined.drop(columns="condition")  # by each condition under another name
-    joined.attrs.update({key: value for key, value in first.table.attrs.items() if key == "adjust"})
-    return Result(test, joined, first.method, max(result.n_subjects for result, _ in parts), tuple(notes))
+    adjust = next((part.table.attrs["adjust"] for part, _ in parts if "adjust" in part.table.attrs), None)
+    joined.attrs.update({"adjust": adjust} if adjust else {})
+    return Result(test, joined, " ".join(said), max(result.n_subjects for result, _ in parts), tuple(notes))
 
 
 def _run(test: Test, kept: pd.DataFrame, plan: Plan) -> Result:

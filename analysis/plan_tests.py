@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -11,7 +12,7 @@ import pandas as pd
 
 import analysis
 from analysis.blocks import p_words
-from analysis.comparisons import choice_row
+from analysis.comparisons import adaptive_level, choice_row
 from analysis.planned_test import Plan, Test, column_of
 from analysis.results import TOO_FEW_SUBJECTS
 from stimuli.errors import InputError, problem
@@ -155,14 +156,26 @@ FEW_SCENES = 6
 
 
 def _random_terms(own: pd.DataFrame, test: Test, formula: str) -> list[str]:
-    """The stated random effects; else participants, and scenes where there are enough and no effect names them."""
+    """The stated random effects; else participants, their own effect of each within factor that they judged several
+    times a level (without it their trials would count as independent), and scenes where there are enough and no effect
+    names them."""
     stated = test.options.get("random")
     if stated:
         return [str(stated)]
     terms = [f"(1|{test.subject})"]
+    if test.test == "linear_mixed":
+        named = set(re.findall(r"[A-Za-z_]\w*", formula.partition("~")[2]))
+        for name in [one for one in own if one in named and one != test.subject and not _numeric(own[one])]:
+            cells = own.groupby([test.subject, name], observed=True).size()
+            if cells.groupby(level=0).size().max() > 1 and cells.max() > 1:
+                terms.append(f"(1|{test.subject}:{name})")
     if own["scene"].nunique() >= FEW_SCENES and "scene" not in formula:
         terms.append("(1|scene)")
     return terms
+
+
+def _numeric(column: pd.Series) -> bool:
+    return pd.api.types.is_numeric_dtype(column)
 
 
 def _formula(own: pd.DataFrame, dv: str, test: Test) -> str:
@@ -200,7 +213,9 @@ def _linear_mixed(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.Data
 
 def _psychometric(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.DataFrame:
     x = str(test.options.get("x") or "x")
-    own = own.assign(_x=column_of(own, x, test).astype(float))
+    levels = own["condition"].map(adaptive_level) if "condition" in own and x not in own else None
+    found = levels is not None and levels.notna().any()  # an adaptive block's values stand in its conditions' names
+    own = own.assign(_x=levels if found else column_of(own, x, test).astype(float))
     right = _chosen(own, test)["chosen"] if test.dv == "choice" else own[dv].astype(float)
     rows = pd.DataFrame({"x": own.loc[right.index, "_x"], "who": own.loc[right.index, test.subject], "k": right})
     # the participant is the unit: counts stay apart, and errors are those over participants

@@ -35,13 +35,15 @@ def response_effects(kept: pd.DataFrame, sessions: Sequence[Session]) -> pd.Data
     rated = kept[np.isfinite(kept["rating"].astype(float))]
     if len(rated):
         centred = _centred_on_condition(rated)
-        rows.append(_row("trial number", "rating per 100 trials", _by_person(rated, centred, _slope_per_100), 0.0))
+        slopes = _by_person(*_within_blocks(rated, centred), _slope_per_100)
+        rows.append(_row("trial number", "rating per 100 trials of a block", slopes, 0.0))
         rows.append(_row("previous trial", "slope on the previous rating", _by_person(rated, centred, _lag_slope), 0.0))
     timed = kept[kept["rt_s"].astype(float) > 0]
     if len(timed):
-        log_rt = np.log(timed["rt_s"].astype(float))
-        slopes = _by_person(timed, log_rt - log_rt.mean(), _slope_per_100)
-        rows.append(_row("practice or fatigue", "log response time per 100 trials", slopes, 0.0))
+        log_rt = pd.Series(np.log(timed["rt_s"].to_numpy(dtype=float)), index=timed.index)
+        timed, log_rt = _within_blocks(timed, log_rt)
+        slopes = _by_person(timed, log_rt, _slope_per_100)
+        rows.append(_row("practice or fatigue", "log response time per 100 trials of a block", slopes, 0.0))
     return pd.DataFrame(rows, columns=EFFECT_COLUMNS)
 
 
@@ -103,7 +105,12 @@ def _two_groups(measure: str, values: pd.Series, mapping: dict[str, str], groups
     ]
     nan = float("nan")
     row: dict[str, object] = dict.fromkeys(EFFECT_COLUMNS, nan)
-    row |= {"effect": "key mapping", "measure": f"difference of {measure}", "expected": 0.0, "n": sum(map(len, parts))}
+    row |= {
+        "effect": "key mapping",
+        "measure": f"{measure}: {groups[0]} less {groups[1]}",
+        "expected": 0.0,
+        "n": sum(map(len, parts)),
+    }
     if min(map(len, parts)) < 2:
         return row | {"status": "too_few_subjects", "note": "2 participants a mapping needed"}
     variance = [part.var(ddof=1) / len(part) for part in parts]
@@ -116,13 +123,22 @@ def _two_groups(measure: str, values: pd.Series, mapping: dict[str, str], groups
     half = float(stats.t.ppf(0.975, df)) * error
     t = difference / error
     row |= {"ci_low": difference - half, "ci_high": difference + half, "t": t, "df": float(df)}
-    return row | {"p": float(2 * stats.t.sf(abs(t), df)), "status": "ok", "note": f"{groups[0]} minus {groups[1]}"}
+    return row | {"p": float(2 * stats.t.sf(abs(t), df)), "status": "ok", "note": ""}
 
 
 def _centred_on_condition(rated: pd.DataFrame) -> pd.Series:
     """Ratings less the mean of their scene and condition, so that the order of conditions plays no part."""
     rating = rated["rating"].astype(float)
     return rating - rating.groupby([rated["scene"], rated["condition"]], sort=False).transform("mean")
+
+
+def _within_blocks(table: pd.DataFrame, values: pd.Series) -> tuple[pd.DataFrame, pd.Series]:
+    """Trial numbers and values less the participant's mean in their block: blocks ask for different things, and one
+    that is slower and comes later is no fatigue."""
+    keys = [table["participant"], table["block"]]
+    trial = table["trial"].astype(float)
+    centred = table.assign(trial=trial - trial.groupby(keys, sort=False).transform("mean"))
+    return centred, values - values.groupby(keys, sort=False).transform("mean")
 
 
 def _by_person(

@@ -63,7 +63,7 @@ keep("{name}: mixed model", as.data.frame(coef(summary(mixed))))
 _CHOICES = """
 # ---- choices, block by block: Bradley-Terry as a logistic regression without intercept, one column a condition
 bradley_terry <- function(chosen) {
-  items <- sort(unique(c(chosen$winner, chosen$loser)))
+  items <- sort(unique(c(chosen$winner, chosen$loser)), method = "radix")
   x <- sapply(items, function(item) (chosen$winner == item) - (chosen$loser == item))
   # separated answers (a warning, a huge value) and unconnected items (NA) have no finite ability
   fit <- glm(rep(1, nrow(chosen)) ~ 0 + x[, -1, drop = FALSE], family = binomial)
@@ -83,7 +83,7 @@ pair_shares <- function(chosen) {
     else if (length(shares) > 1 && sd(shares) > 0) p <- t.test(shares, mu = 0.5)$p.value
     data.frame(a = pair[1], b = pair[2], participants = length(shares), share = mean(shares), p = p)
   }
-  do.call(rbind, combn(sort(unique(c(chosen$winner, chosen$loser))), 2, of_pair, simplify = FALSE))
+  do.call(rbind, combn(sort(unique(c(chosen$winner, chosen$loser)), method = "radix"), 2, of_pair, simplify = FALSE))
 }
 compared <- trials[!is.na(trials$winner), ]
 for (block in unique(compared$block)) {

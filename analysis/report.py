@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import platform
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
@@ -78,7 +79,8 @@ def analyse(
     onset = onset_statement(sessions)
     first = sections.participants_section(exclusions, sessions)
     whole = [first, *found, sections.timing_section(timing, onset, sessions), sections.gaze_section(gaze)]
-    whole.append(_methods(sessions, exclusions, timing, onset, blind))
+    made = [] if blind or not len(kept) else [result.method for result in results]
+    whole.append(_methods(sessions, exclusions, timing, onset, blind, made))
     kind = sessions[0].observer_kind
     results_json = {
         "format": FORMAT,
@@ -95,10 +97,19 @@ def analyse(
 
 
 def _triads(kept: pd.DataFrame) -> pd.DataFrame:
+    """Of each block: blocks ask different questions, whose answers form no triad together. Participants without a whole
+    triad are left out, and so is the p of a test that was not made."""
     chosen = with_winner(kept)
-    if chosen.empty or len(set(chosen["winner"]) | set(chosen["loser"])) < 3:
-        return pd.DataFrame()
-    return circular_triads(chosen, winner="winner", loser="loser", observer="participant")
+    tables = []
+    for block, own in chosen.groupby("block", sort=False):
+        if len(set(own["winner"]) | set(own["loser"])) < 3:
+            continue
+        table = circular_triads(own, winner="winner", loser="loser", observer="participant")
+        whole = (table["items"] > 4) & (table["judged"] == table["items"].map(lambda k: math.comb(int(k), 3)))
+        table = table.assign(p=table["p"].where(whole))
+        table.insert(0, "block", str(block))
+        tables.append(table[table["judged"] > 0])
+    return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
 
 
 def _glance(exclusions: Exclusions, timing: Timing) -> list[dict[str, str]]:
@@ -125,9 +136,14 @@ def _version(package: str) -> str:
 
 
 def _methods(
-    sessions: Sequence[Session], exclusions: Exclusions, timing: Timing, onset: str, blind: bool
+    sessions: Sequence[Session],
+    exclusions: Exclusions,
+    timing: Timing,
+    onset: str,
+    blind: bool,
+    made: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """The methods paragraph, with versions, seeds and hashes."""
+    """The methods paragraph, with versions, seeds and hashes; ``made``: the sentences of the tests' methods."""
     who = "simulated observers" if sessions[0].observer_kind == "simulated" else "participants"
     seeds = sorted({str(session.header.get("seed")) for session in sessions})
     hashes = sorted({str(session.header.get("protocol_sha256", "unknown")) for session in sessions})
@@ -137,11 +153,16 @@ def _methods(
     used = ", ".join(f"{name} {_version(name)}" for name in ("studyapp", "numpy", "scipy", "pandas", "statsmodels"))
     observers = sorted({str(session.header.get("observer", "unknown")) for session in sessions})
     rates = sorted({f"{rate:g}" for rate in timing.sessions["nominal_hz"].dropna()})
+    models = any("ixed model" in one or "logit model" in one or "probit model" in one for one in made)
+    unit = "repetitions are averaged within participants before any test"
+    if models:
+        unit = "repetitions are averaged within participants, or modelled with random effects of participants"
+    resampled = any("resamples" in one for one in made)
     text = (
         f"{len(exclusions.participants)} {who} ({', '.join(observers)}) took part in {len(sessions)} session(s) on a "
         f"display at {' / '.join(rates) or 'an unknown rate of'} Hz. {onset} The unit of inference is the participant: "
-        "repetitions are averaged within participants before any test, and counts pooled over participants are "
-        "marked as such. Intervals are at 95 % unless said. Bootstraps use seed 0 and 2,000 resamples."
+        f"{unit}, and counts pooled over participants are marked as such. Intervals are at 95 % unless said."
+        f"{' Bootstraps use seed 0 and 2,000 resamples.' if resampled else ''}"
     )
     lines = [
         text,

@@ -12,6 +12,7 @@ import pandas as pd
 from analysis import apa
 from analysis import result_columns as shown
 from analysis.blocks import Block, figure_block, section, table_block, words_block
+from analysis.comparisons import POOLED
 from analysis.exclusions import Exclusions
 from analysis.gaze import Gaze
 from analysis.plan import catch_table
@@ -42,7 +43,8 @@ def participants_section(exclusions: Exclusions, sessions: Sequence[Session]) ->
     keep = tuple(column for column in columns if column[0] not in empty)
     blocks.append(table_block("participants", "Participants", people, keep))
     reasons = (("reason", "reason", "text"), ("trials", "presentations", "int"))
-    blocks.append(table_block("reasons", "Presentations left out, by reason", exclusions.reasons, reasons))
+    if len(exclusions.reasons):
+        blocks.append(table_block("reasons", "Presentations left out, by reason", exclusions.reasons, reasons))
     return section("participants", "Participants and exclusions", blocks, blind=True)
 
 
@@ -66,6 +68,8 @@ def timing_section(timing: Timing, onset: str, sessions: Sequence[Session]) -> d
         trace = {"x": timing.trace["refresh"], "y": timing.trace["interval_ms"], "mark": timing.period_ms}
         labels = {"x_label": "refresh of the trial", "y_label": "interval (ms)"}
         caption = f"The trial with the most missed refreshes: {timing.trace_of}"
+        if not missed:
+            caption = f"No refresh was missed; as an example, {timing.trace_of}"
         blocks.append(figure_block("timing-trace", caption, "trace", {**trace, **labels}))
     return section("timing", "Refresh timing", blocks, blind=True)
 
@@ -110,11 +114,15 @@ def quality_section(effects: pd.DataFrame, triads: pd.DataFrame, table: pd.DataF
         table_block("response-effects", "Effects that are not the pictures'", effects, shown.EFFECTS),
     ]
     if len(triads):
-        columns = [(c, c.replace("_", " "), "f2" if triads[c].dtype.kind == "f" else "text") for c in triads.columns]
+        forms = {"consistency": "f2", "p": "p", "circular": "int", "judged": "int", "items": "int"}
+        columns = [(c, c.replace("_", " "), forms.get(c, "text")) for c in triads.columns]
         columns = [column for column in columns if column[0] not in ("status", "note")]
-        blocks.append(table_block("triads", "Circular triads (A over B, B over C, C over A)", triads, columns))
+        said = "p: that choices at random are as consistent; where not every pair was judged, or of fewer than five"
+        caption = "Circular triads (A over B, B over C, C over A)"
+        blocks.append(table_block("triads", caption, triads, columns, f"{said} conditions, no test is made (–)."))
     else:
-        blocks.append(words_block("Circular triads: none can arise (fewer than three conditions were all compared)."))
+        said = "no participant was shown three conditions all against each other (or chose each of two equally often)"
+        blocks.append(words_block(f"Circular triads: none can arise, {said}."))
     catch = catch_table(table)
     columns = [
         ("participant", "participant", "text"),
@@ -166,6 +174,9 @@ def plan_section(
         columns = [*leading, ("effect", "effect", "text"), *shown.RESULT_COLUMNS.get(result.test.test, ())]
         if result.test.test == "likert_summary" and "n" in result.table:
             columns = _summary_columns(result.table)
+            head = f"{head}: answers, {POOLED}"
+        elif result.test.test in _DIRECTIONS:
+            note = f"{note} {_DIRECTIONS[result.test.test]}"
         blocks.append(table_block(f"test-{place + 1}-{_plain(result.test.name)}", head, result.table, columns, note))
         blocks.append(words_block(*apa.sentences(result), kind="sentences"))
     return section(
@@ -173,6 +184,15 @@ def plan_section(
         "Planned tests" if plan.stated else "Tests derived from the design",
         [b for b in blocks if b.get("paragraphs", True)],
     )
+
+
+_DIRECTIONS = {
+    "posthoc_t": "A positive difference: a has the larger mean.",
+    "tost": "A positive difference: a has the larger mean.",
+    "wilcoxon": "A positive r: a is larger more often.",
+    "bradley_terry": "Higher: chosen more often.",
+    "thurstone": "Higher: chosen more often.",
+}
 
 
 def _plain(name: str) -> str:
@@ -200,9 +220,13 @@ def design_blocks(sessions: Sequence[Session]) -> list[Block]:
         )
         deviations = pd.DataFrame(repeated.get("deviations") or [], columns=["paper", "here", "why"]).astype(str)
         columns = [("paper", "paper", "text"), ("here", "here", "text"), ("why", "why", "text")]
-        blocks.append(
-            table_block("replication", f"{what.capitalize()} of {repeated.get('of')}: deviations", deviations, columns)
+        head = (
+            f"{what.capitalize()} of {repeated.get('of')}" if what != "proposal" else f"Proposal: {repeated.get('of')}"
         )
+        if len(deviations):
+            blocks.append(table_block("replication", f"{head}: deviations", deviations, columns))
+        else:
+            blocks.append(words_block(f"{head}."))
     return blocks
 
 
@@ -212,7 +236,8 @@ def _summary_columns(table: pd.DataFrame) -> list[tuple[str, str, str]]:
     shares = [c for c in table.columns if c.startswith("share_")]
     forms |= dict.fromkeys([*shares, "disagree", "neutral", "agree"], "pct0")
     names = [column for column in table.columns if column not in ("status", "note")]
-    return [(name, name.removeprefix("share_").replace("-", "−"), forms.get(name, "text")) for name in names]
+    heads = {"n": "answers", "sd": "SD"} | {name: name.removeprefix("share_").replace("-", "−") for name in shares}
+    return [(name, heads.get(name, name), forms.get(name, "text")) for name in names]
 
 
 def gaze_section(gaze: Gaze | None) -> dict[str, Any] | None:

@@ -102,7 +102,7 @@ def _session_row(
         "stamp_class": session.header.get("stamp_class", "unknown"),
         "nominal_hz": nominal_hz,
         "measured_hz": float(certificate.get("measured_hz") or np.nan),
-        "trials": len(trials),
+        "trials": int((trials["refreshes"] > 0).sum()),
         "refreshes": shown,
         "missed": missed,
         "missed_share": missed / (shown + missed) if shown + missed else np.nan,
@@ -176,7 +176,7 @@ def _worst_trial(flips: dict[int, np.ndarray]) -> tuple[int, int]:
     if not flips:
         return -1, -1
     missed = {trial: int(record["missed"].sum()) for trial, record in flips.items()}
-    trial = max(missed, key=lambda t: missed[t])
+    trial = max(missed, key=lambda t: (missed[t], len(flips[t])))
     return trial, missed[trial]
 
 
