@@ -104,6 +104,8 @@ def likert_section(kept: pd.DataFrame, sessions: Sequence[Session]) -> dict[str,
     for name, question in questions.items():
         dv = f"rating_{name}"
         own = kept[np.isfinite(kept[dv].astype(float))] if dv in kept else kept.iloc[:0]
+        if own.empty:
+            blocks.append(words_block(f"“{question['text']}” ({name}): no analysed presentation has an answer to it."))
         names = list(dict.fromkeys(own["block"]))
         for place, block in enumerate(names):
             rated = own[own["block"] == block].reset_index(drop=True)
@@ -153,7 +155,11 @@ def _likert_blocks(
     ]
     alt = f"Ratings of {name} by {main}, stacked from {low} to {high}, the neutral answers split at zero"
     bars = {"rows": rows, "categories": [number(int(c), 0) for c in categories]}
-    blocks.append(figure_block(f"likert-{key}", f"{name}: answers by {main}", "likert_bars", bars, alt))
+    blocks.append(
+        figure_block(
+            f"likert-{key}", f"{name}: all answers by {main}, neutral ones split at zero", "likert_bars", bars, alt
+        )
+    )
     columns = [(main, main, "text"), ("n", "answers", "int"), ("mean", "mean", "f2"), ("sd", "SD", "f2")]
     columns += [("median", "median", "f1"), *((share, share, "pct0") for share in ("disagree", "neutral", "agree"))]
     means = cell_means(own, dv, [main])
@@ -166,15 +172,22 @@ def _likert_blocks(
         "series": series,
         "people": people,
         "y_label": f"mean rating, {name}",
-        "y_limits": [low - 0.2, high + 0.2],
+        "y_limits": _limits(means, low, high),
     }
     n = own["participant"].nunique()
     caption = f"{name}: means with 95 % within-subject intervals (Cousineau-Morey), n = {n} participants (dots)"
+    if n < 2:
+        caption = f"{name}: means of one participant, without intervals"
     blocks.append(figure_block(f"means-{key}", caption, "means", data))
     for other in others:
         blocks.append(_interaction(own, name, key, dv, main, other, levels_of, (low, high)))
     blocks.append(table_block(f"summary-{key}", f"{name}: answers ({POOLED})", summary, columns))
     return blocks
+
+
+def _limits(means: pd.DataFrame, low: int, high: int) -> list[float]:
+    """The whole scale, and what of the intervals lies beyond its ends: none is cut off."""
+    return [min(low, means["ci_low"].min()) - 0.2, max(high, means["ci_high"].max()) + 0.2]
 
 
 def _interaction(
@@ -192,7 +205,7 @@ def _interaction(
         "series": series,
         "lines": True,
         "y_label": f"mean rating, {name}",
-        "y_limits": [scale[0] - 0.2, scale[1] + 0.2],
+        "y_limits": _limits(cells, *scale),
     }
     return figure_block(
         f"interaction-{key}-{other}", f"{name}: {main} by {other} (95 % within-subject intervals)", "means", data

@@ -42,9 +42,17 @@ def sentences(result: Result) -> list[str]:
         elif _has_numbers(status, row):
             said.append(f"{_in_family(result, row, make(own, row))[:-1]} ({row['note']}).")
         else:
-            name = row.get("effect") or row.get("item") or row.get("term") or result.test.name
-            said.append(f"{own.test.name}, {name}: {row['status'].replace('_', ' ')} ({row.get('note', '')}).")
+            names = [own.test.name, *([what] if (what := _what(row)) not in ("", result.test.name) else [])]
+            said.append(f"{', '.join(names)}: {row['status'].replace('_', ' ')} ({row.get('note', '')}).")
     return said
+
+
+def _what(row: Mapping[str, Any]) -> str:
+    """The effect, pair, item or term that a row is about; '' where its test has one row."""
+    if "mean_diff" in row and "a" in row:
+        return f"{row['a']} − {row['b']}"
+    names = ("effect", "comparison", "item", "term", "parameter", "measure")
+    return next((str(row[name]) for name in names if row.get(name)), "")
 
 
 def _in_family(result: Result, row: Mapping[str, Any], sentence: str) -> str:

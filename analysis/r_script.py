@@ -31,7 +31,7 @@ trials$participant <- factor(trials$participant)
 _QUESTION = """
 # ---- {name}: {text}
 rated <- trials[!is.na(trials[["{dv}"]]), ]
-rated$dv <- as.numeric(rated[["{dv}"]])
+{block}rated$dv <- as.numeric(rated[["{dv}"]])
 {factors}
 # repetitions are averaged within participants
 cells <- aggregate(dv ~ participant + {plus}, rated, mean)
@@ -112,6 +112,16 @@ def _between(sessions: Sequence[Session]) -> list[str]:
     return [name for name, found in levels.items() if len(found) > 1]
 
 
+def _blocks(sessions: Sequence[Session], question: str) -> list[str]:
+    """The blocks that ask the question, in the order of the plans: each is analysed by itself."""
+    found: dict[str, None] = {}
+    for session in sessions:
+        for trial in session.header.get("plan") or []:
+            if any(one["name"] == question for one in trial.get("questions", ())):
+                found[str(trial["block"])] = None
+    return list(found)
+
+
 def r_script(
     sessions: Sequence[Session], questions: Mapping[str, Mapping[str, Any]], factors: Sequence[str], choices: bool
 ) -> str:
@@ -129,10 +139,14 @@ def r_script(
         between = ", ".join(f'"{_quoted(group)}"' for group in groups)
         within = ", ".join(f'"{_quoted(factor)}"' for factor in factors)
         text = _quoted(str(question.get("text", "")))
-        parts.append(
-            _QUESTION.format(name=name, text=text, dv=_quoted(f"rating_{name}"), factors=lines, within=within,
-                             between=f", between = c({between})" if groups else "", plus=" + ".join(quoted),
-                             star=" * ".join(quoted), first=quoted[0], first_plain=_quoted(factors[0]),
-                             first_quoted=f'"{_quoted(factors[0])}"')
-        )  # fmt: skip
+        asking = _blocks(sessions, name)
+        for block in asking if len(asking) > 1 else [None]:
+            only = "" if block is None else f'rated <- rated[rated$block == "{_quoted(block)}", ]\n'
+            title = name if block is None else f"{name}, block {_quoted(block)}"
+            parts.append(
+                _QUESTION.format(name=title, text=text, dv=_quoted(f"rating_{name}"), factors=lines, within=within,
+                                 between=f", between = c({between})" if groups else "", plus=" + ".join(quoted),
+                                 star=" * ".join(quoted), first=quoted[0], first_plain=_quoted(factors[0]),
+                                 first_quoted=f'"{_quoted(factors[0])}"', block=only)
+            )  # fmt: skip
     return "".join([*parts, _CHOICES if choices else ""])

@@ -72,7 +72,11 @@ def analyse(
         registered = compare(registration, sessions, analysed) if registration is not None else None
         preference = preference_section(kept, checks)
         ratings = likert_section(kept, sessions) if len(kept) else None
-        found = [preference, ratings, sections.plan_section(results, plan, kept, registered) if len(kept) else None]
+        said = f"No presentation is left to analyse: none of the {len(plan.tests)} planned tests could be made."
+        planned = section("tests", "Planned tests", [words_block(said, kind="warning")])
+        if len(kept):
+            planned = sections.plan_section(results, plan, kept, registered)
+        found = [preference, ratings, planned]
         shown = checks, luminance_differences(sessions), match_checks(sessions)
         found += [sections.manipulation_section(*shown, unmatched=unmatched_comparisons(sessions))]
         found += [sections.quality_section(response_effects(kept, sessions), _triads(kept), exclusions.table)]
@@ -107,6 +111,10 @@ def _triads(kept: pd.DataFrame) -> pd.DataFrame:
         table = circular_triads(own, winner="winner", loser="loser", observer="participant")
         whole = (table["items"] > 4) & (table["judged"] == table["items"].map(lambda k: math.comb(int(k), 3)))
         table = table.assign(p=table["p"].where(whole))
+        table.loc[~whole, ["status", "note"]] = [
+            "undefined",
+            "no test: not every pair was judged, or fewer than 5 items",
+        ]
         table.insert(0, "block", str(block))
         tables.append(table[table["judged"] > 0])
     return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()

@@ -117,9 +117,9 @@ def quality_section(effects: pd.DataFrame, triads: pd.DataFrame, table: pd.DataF
         forms = {"consistency": "f2", "p": "p", "circular": "int", "judged": "int", "items": "int"}
         columns = [(c, c.replace("_", " "), forms.get(c, "text")) for c in triads.columns]
         columns = [column for column in columns if column[0] not in ("status", "note")]
-        said = "p: that choices at random are as consistent; where not every pair was judged, or of fewer than five"
+        said = "p: that choices at random have at most so many."
         caption = "Circular triads (A over B, B over C, C over A)"
-        blocks.append(table_block("triads", caption, triads, columns, f"{said} conditions, no test is made (–)."))
+        blocks.append(table_block("triads", caption, triads, columns, said))
     else:
         said = "no participant was shown three conditions all against each other (or chose each of two equally often)"
         blocks.append(words_block(f"Circular triads: none can arise, {said}."))

@@ -176,3 +176,13 @@ def test_who_lacks_a_level_is_named(tmp_path: Path) -> None:
     )
     notes = run_plan(replace(PLAN, tests=(test,)), lost)[0].notes
     assert notes == (f"left out: {kept['participant'].iloc[0]}: no value at vanilla_60",)
+
+
+def test_a_pair_that_cannot_be_tested_is_named(tmp_path: Path) -> None:
+    result = planned(tmp_path, {"name": "p", "test": "posthoc_t", **RATING}, participants=1)[0]
+    said = sentences(result)
+    pairs = [f"p, {a} − {b}: too few subjects" for a, b in zip(result.table["a"], result.table["b"], strict=True)]
+    assert all(one.startswith(wanted) for one, wanted in zip(said, pairs, strict=True))
+    assert len(set(said)) == len(pairs) > 1
+    alone = planned(tmp_path / "w", {"name": "w", "test": "friedman", **RATING}, participants=1)[0]
+    assert sentences(alone)[0].startswith("w: too few subjects")

@@ -18,6 +18,7 @@ from analysis.observers import circular_triads
 from analysis.plan_tests import RUNNERS
 from analysis.planned_test import Plan, Test
 from analysis.quality import response_effects
+from analysis.r_script import r_script
 from analysis.report import _triads, analyse
 from analysis.sections import design_blocks, participants_section
 from analysis.sessions import Session, combine, read_sessions
@@ -54,7 +55,8 @@ def test_triads_of_one_block_know_nothing_of_another() -> None:
     kept = pd.DataFrame(rows, columns=["participant", "block", "winner", "loser"])
     found = _triads(kept)
     assert found[["block", "observer", "circular", "judged"]].to_numpy().tolist() == [["one", "q", 0, 1]]
-    assert found["p"].isna().all()  # three conditions: nothing is tested
+    assert found["p"].isna().all()  # three conditions: nothing is tested, and the row says so
+    assert (found["status"] == "undefined").all()
 
 
 def test_random_choices_between_five_are_counted_exactly() -> None:
@@ -162,3 +164,59 @@ def test_a_proposal_without_deviations_is_said_in_words() -> None:
     object.__setattr__(session, "header", {"protocol_text": text})
     blocks = design_blocks([session])
     assert [block["paragraphs"] for block in blocks] == [["Proposal: nobody asked this."]]
+
+
+def test_no_interval_is_cut_off_at_the_scales_end(tmp_path: Path) -> None:
+    demo_study(tmp_path, participants=4)
+    sessions = read_sessions([tmp_path])
+    kept = apply_exclusions(combine(sessions), (), sessions).kept
+    whole = np.isfinite(kept["rating_smooth"].astype(float))
+    # as far apart as the scale allows: intervals reach beyond it
+    high = (kept["participant"].map(hash) + kept["condition"].map(hash)) % 2 == 0
+    kept.loc[whole, "rating_smooth"] = np.where(high[whole], 3.0, -3.0)
+    made = likert_section(kept, sessions)
+    assert made is not None
+    means = [block for block in made["blocks"] if block.get("plot") == "means"]
+    reached = [
+        value for block in means for one in block["data"]["series"] for value in one["high"] if value is not None
+    ]
+    assert max(reached) > 3.2
+    for block in means:
+        low, top = block["data"]["y_limits"]
+        assert all(value < top for one in block["data"]["series"] for value in one["high"] if value is not None)
+        assert all(value > low for one in block["data"]["series"] for value in one["low"] if value is not None)
+
+
+def test_a_question_that_nobody_answered_is_named(tmp_path: Path) -> None:
+    demo_study(tmp_path, participants=2)
+    sessions = read_sessions([tmp_path])
+    kept = apply_exclusions(combine(sessions), (), sessions).kept.assign(rating_smooth=np.nan)
+    made = likert_section(kept, sessions)
+    assert made is not None
+    said = [words for block in made["blocks"] for words in block.get("paragraphs", ())]
+    assert sum("(smooth): no analysed presentation has an answer to it." in words for words in said) == 1
+
+
+def test_where_nothing_is_left_the_planned_tests_say_so(tmp_path: Path) -> None:
+    plan = {
+        "tests": [{"name": "t", "test": "friedman", "question": "smooth", "within": ["condition"]}],
+        "exclusions": [{"rule": "too_slow", "limit": 0.000001}],
+    }
+    demo_study(tmp_path, participants=2, analysis_plan=plan)
+    assert "none of the 1 planned tests could be made" in paragraphs(analyse([tmp_path]), "tests")
+
+
+def test_the_r_script_keeps_blocks_apart() -> None:
+    def asked(block: str, *names: str) -> dict[str, Any]:
+        return {"block": block, "questions": [{"name": name} for name in names]}
+
+    session = Session.__new__(Session)
+    plan = [asked("first", "clean", "sure"), asked("again", "clean")]
+    object.__setattr__(session, "header", {"study": "s", "plan": plan, "observer_kind": "person"})
+    script = r_script([session], {"clean": {"text": "c"}, "sure": {"text": "s"}}, ["condition"], False)
+    assert [line for line in script.splitlines() if "rated$block" in line] == [
+        'rated <- rated[rated$block == "first", ]',
+        'rated <- rated[rated$block == "again", ]',
+    ]
+    assert 'keep("clean, block again: ANOVA"' in script
+    assert 'keep("sure: ANOVA"' in script
