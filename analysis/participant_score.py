@@ -84,7 +84,7 @@ class ParticipantScore:
         self.quadrature = Quadrature(bounds, groups, link, nodes, wide=fit.sd > WIDE_SD)
         self.ordered = ordered
         self.best = np.append(fit.phi, min(fit.sd, MAX_SD))
-        self.start = self.best
+        self.start, self.along = self.best, np.zeros(len(fit.phi))
         self.se = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
         self.between = _constant_in_groups(bounds, groups)
 
@@ -98,7 +98,7 @@ class ParticipantScore:
     def test(self, k: int, level: float) -> TermTest:
         """Coefficient ``k`` against 0, and its interval."""
         df, estimate = self.df(k), float(self.best[k])
-        self.start = self.best
+        self._begin()
         statistic = self.statistic(k, 0.0)
         if math.isnan(statistic):
             converged = self.start is not self.best
@@ -106,15 +106,26 @@ class ParticipantScore:
         cut = float(special.stdtrit(df, 0.5 + level / 2))
         ends = []
         for side in (-1.0, 1.0):
-            self.start = self.best
+            self._begin()
             step = side * min(cut, 5.0) * float(self.se[k])
             ends.append(rejected_from(lambda c: self.statistic(k, c), estimate, step, cut))
         low, high = ends
         return TermTest(statistic, df, p_t(statistic, df), log10_t(statistic, df), low, high)
 
+    def _begin(self) -> None:
+        """The next search starts at the estimate."""
+        self.start, self.along = self.best, np.zeros(len(self.best) - 1)
+
+    def _start_at(self, k: int, value: float) -> np.ndarray:
+        """The last maximum, its other coefficients moved along with coefficient ``k``: so that a far value is not
+        sought from beside the ridge, where it may lead to another maximum."""
+        start = self.start.copy()
+        start[:-1] += self.along * (value - start[k])
+        return start if np.all(np.diff(start[: self.ordered]) > 0) else self.start
+
     def statistic(self, k: int, value: float) -> float:
         """t of the participants' contributions to the score at ``value``; positive where the estimate is larger."""
-        found = constrained(self.quadrature, self.start, k, value, self.ordered)
+        found = constrained(self.quadrature, self._start_at(k, value), k, value, self.ordered)
         if found is None:
             return math.nan
         theta, scores, information = found
@@ -122,7 +133,10 @@ class ParticipantScore:
         own, rest = scores[:, k], [j for j in range(len(theta) - 1) if j != k]
         if rest:
             # what the other coefficients take up of the score is theirs; the SD is held (see above)
-            own = own - scores[:, rest] @ np.linalg.lstsq(information[np.ix_(rest, rest)], information[rest, k])[0]
+            taken = np.linalg.lstsq(information[np.ix_(rest, rest)], information[rest, k])[0]
+            own = own - scores[:, rest] @ taken
+            self.along = np.zeros(len(theta) - 1)
+            self.along[rest] = -taken
         n, df = len(own), self.df(k)
         total, squares = float(own.sum()), float(own @ own)
         if not squares > 0:

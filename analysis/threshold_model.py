@@ -176,6 +176,7 @@ def fit_fixed(bounds: Bounds, start: np.ndarray, link: str) -> ThresholdFit:
 
 Nodes = tuple[np.ndarray, np.ndarray]
 """Values of each group's random intercept (groups, nodes), and their scale (groups,)."""
+Expansion = tuple[float, np.ndarray, np.ndarray]
 
 
 class Quadrature:
@@ -238,8 +239,8 @@ class Quadrature:
     def expansion(self, phi: np.ndarray, sd: float, nodes: Nodes | None = None) -> tuple[float, np.ndarray, np.ndarray]:
         """Log-likelihood, every group's score by (phi, sd) (groups, parameters), and the observed information.
 
-        Fisher's identity and Louis's (1982): score E[s], information -E[h] - Var(s), over a group's random intercept;
-        by ``nodes``, else by those about the modes at (phi, sd).
+        Fisher's identity and Louis's (1982): score E[s], information -E[h] - Var(s), over a group's random intercept.
+        ``nodes``: default those about the modes at (phi, sd).
         """
         upper, lower = self.bounds.upper, self.bounds.lower
         a, b = self.bounds.at(phi)
