@@ -209,11 +209,8 @@ class Quadrature:
 
     def evaluate(self, phi: np.ndarray, sd: float) -> tuple[float, np.ndarray]:
         """Log-likelihood and its gradient by (phi, sd)."""
-        a, b = self.bounds.at(phi)
-        u, curve = self._modes(a, b, sd)
-        tau = 1 / np.sqrt(curve)
-        points = u[:, None] + math.sqrt(2) * tau[:, None] * self.t
-        value, ga, gb, *_ = self._terms(a, b, sd * points[self.codes])
+        points, tau = self.nodes(phi, sd)
+        value, ga, gb, *_ = self._terms(*self.bounds.at(phi), sd * points[self.codes])
         joint = self._sum(value) - points**2 / 2 + self.log_weight
         posterior, total = _normalised(joint)
         log_likelihood = float(np.sum(total + np.log(tau) - 0.5 * math.log(math.pi)))
