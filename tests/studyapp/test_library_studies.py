@@ -40,7 +40,8 @@ def test_a_shipped_study_goes_from_check_to_report(
     replication = load_study(name).replication
     if replication is not None:
         said = " ".join(unescape(page).split())
-        assert f"{replication.kind} of".lower() in said.lower() or f"{replication.kind} replication" in said.lower()
+        kind = "Proposal: " if replication.kind == "proposal" else f"{replication.kind.capitalize()} replication of "
+        assert f"{kind}{replication.of}" in said
         for row in replication.deviations:
             for words in (row.paper, row.here, row.why):
                 assert " ".join(words.split()) in said, words
