@@ -165,17 +165,14 @@ def _random_terms(own: pd.DataFrame, test: Test, formula: str) -> list[str]:
     terms = [f"(1|{test.subject})"]
     if test.test == "linear_mixed":
         named = set(re.findall(r"[A-Za-z_]\w*", formula.partition("~")[2]))
-        for name in [one for one in own if one in named and one != test.subject and not _numeric(own[one])]:
+        factors = [one for one in own if one in named and not pd.api.types.is_numeric_dtype(own[one])]
+        for name in [one for one in factors if one != test.subject]:
             cells = own.groupby([test.subject, name], observed=True).size()
             if cells.groupby(level=0).size().max() > 1 and cells.max() > 1:
                 terms.append(f"(1|{test.subject}:{name})")
     if own["scene"].nunique() >= FEW_SCENES and "scene" not in formula:
         terms.append("(1|scene)")
     return terms
-
-
-def _numeric(column: pd.Series) -> bool:
-    return pd.api.types.is_numeric_dtype(column)
 
 
 def _formula(own: pd.DataFrame, dv: str, test: Test) -> str:

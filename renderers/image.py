@@ -25,6 +25,12 @@ def store(picture: Any, value: Any, spare: Any, index: Any, active: Any = True) 
     dr.scatter(picture, mi.Vector4f(value[0], value[1], value[2], spare), index, active)
 
 
+def display_encoded(color: Any, exposure: Any) -> Any:
+    """A linear `mi.Color3f` as the display shows it: sRGB-encoded, in [0, 1]."""
+    c = dr.clip(color * exposure, 0, 1)
+    return dr.select(c <= 0.0031308, 12.92 * c, 1.055 * dr.power(dr.maximum(c, 0.0031308), 1 / 2.4) - 0.055)
+
+
 def bilinear(picture: Any, x_px: Any, y_px: Any, width: int, height: int, active: Any = True) -> Any:
     """`mi.Color3f` at continuous (x, y) in pixels (centre of the first pixel: 0.5), clamped to the edge."""
     gx = dr.clip(x_px - 0.5, 0, width - 1)

@@ -15,6 +15,7 @@ from numba import njit
 from renderers.backend import dr, mi
 from renderers.engine import Engine, EngineState
 from renderers.frozen import frozen, opaque_float, opaque_uint
+from renderers.image import display_encoded
 from renderers.pixels import hilbert_order, inverse_order
 from renderers.rng import combined
 from renderers.skins import refuse_deforming
@@ -196,8 +197,7 @@ def display_luma(color: Any, exposure: Any) -> Any:
 
     Called inside kernels: one power for each channel of each sample cost the sampler's control a quarter of its time.
     """
-    shown = dr.clip(color * exposure, 0, 1)
-    shown = dr.select(shown <= 0.0031308, 12.92 * shown, 1.055 * dr.power(shown, 1 / 2.4) - 0.055)
+    shown = display_encoded(color, exposure)
     return 0.299 * shown.x + 0.587 * shown.y + 0.114 * shown.z
 
 

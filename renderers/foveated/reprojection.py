@@ -12,7 +12,7 @@ from typing import Any
 from renderers.backend import dr, mi
 from renderers.foveated.support import FAR, SupportGrid
 from renderers.gl.context import NEAR
-from renderers.image import fetch, rgb
+from renderers.image import display_encoded, fetch, rgb
 from renderers.parameters import Foveated
 
 JUMP_PX = 4.0
@@ -62,8 +62,7 @@ def pixel_at(place: Any, width: int, height: int) -> Any:
 
 def display_luma(color: Any, exposure: Any) -> Any:
     """Rec.709 luma of a linear colour as the display shows it: sRGB-encoded, in [0, 1]."""
-    c = dr.clip(color * exposure, 0, 1)
-    c = dr.select(c <= 0.0031308, 12.92 * c, 1.055 * dr.power(dr.maximum(c, 0.0031308), 1 / 2.4) - 0.055)
+    c = display_encoded(color, exposure)
     return 0.2126 * c.x + 0.7152 * c.y + 0.0722 * c.z
 
 
