@@ -124,6 +124,11 @@ class _Reader:
         if self.streams.events is not None:
             self.streams.events.put(event_record(event.t_ns, device, event.kind, dict(event.payload), event.raw))
 
+    def turn(self, device: int, state: int, kind: str, payload: dict[str, Any]) -> None:
+        """A device came or went: first on record, then on the board; whoever sees it there finds the event logged."""
+        self.event(device, DeviceEvent(now_ns(), kind, payload))
+        self.board.mark(device, state, str(payload.get("reason", "")))
+
     def open_missing(self) -> None:
         """Try every device that is not there, each ten times a second."""
         for index, spec in enumerate(self.specs):
@@ -134,14 +139,12 @@ class _Reader:
             except DeviceGone as error:
                 self.try_ns[index] = now_ns() + int(REOPEN_S * 1e9)
                 if self.board.state(index) == OPENING:
-                    self.board.mark(index, GONE, str(error))
-                    self.event(index, DeviceEvent(now_ns(), "absent", {"reason": str(error)}))
+                    self.turn(index, GONE, "absent", {"reason": str(error)})
                 continue
             kind = "reconnected" if self.seen[index] else "connected"
             self.seen[index] = True
             self.board.beat()
-            self.board.mark(index, ALIVE)
-            self.event(index, DeviceEvent(now_ns(), kind, {"port": spec.port}))
+            self.turn(index, ALIVE, kind, {"port": spec.port})
 
     def wait(self, pipe: Connection) -> None:
         """Until a line has bytes, or a polled device is due."""
@@ -157,8 +160,7 @@ class _Reader:
             try:
                 self.store(index, device.poll())
             except DeviceGone as error:
-                self.board.mark(index, GONE, str(error))
-                self.event(index, DeviceEvent(now_ns(), "vanished", {"reason": str(error)}))
+                self.turn(index, GONE, "vanished", {"reason": str(error)})
                 device.close()
                 self.devices[index] = None
                 self.try_ns[index] = now_ns() + int(REOPEN_S * 1e9)

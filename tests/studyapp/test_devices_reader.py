@@ -7,21 +7,25 @@ import signal
 import time
 import uuid
 from collections.abc import Callable, Iterator
-from multiprocessing import get_context
+from multiprocessing import Pipe, get_context
 
 import numpy as np
 import pytest
 
 from protocols.records import GAZE_DTYPE
 from studyapp.clock import now_ns
+from studyapp.devices import reader_process
 from studyapp.devices.decoders import BOX_KINDS, BYTE_BOXES, byte_ns
 from studyapp.devices.device import DeviceSpec
 from studyapp.devices.device_reader import DeviceReader
 from studyapp.devices.emulators import Emulator, box_emulator, gaze_emulator
-from studyapp.devices.records import events_from_ring
+from studyapp.devices.reader_process import read_devices
+from studyapp.devices.records import PRESS_RING_DTYPE, events_from_ring
 from studyapp.devices.status_board import ALIVE, GONE, StatusBoard
 from studyapp.gaze.angles import ScreenGeometry
+from studyapp.ring import RecordRing
 from studyapp.seams import Press
+from studyapp.session_writer import StreamRings
 
 SCREEN = ScreenGeometry(0.53, 0.30, 0.6)
 
@@ -97,6 +101,39 @@ def test_a_cut_line_is_noticed_logged_and_a_new_box_taken_on(
     kinds = [kind for kind, _ in events(reader)]
     assert "vanished" in kinds
     assert "reconnected" in kinds
+
+
+class _WatchedBoard(StatusBoard):
+    """Notes how many events lay in the ring when a device was marked."""
+
+    def __init__(self, n_devices: int, streams: StreamRings) -> None:
+        super().__init__(n_devices)
+        self.streams, self.events_at_mark = streams, list[int]()
+
+    def mark(self, device: int, state: int, reason: str = "") -> None:
+        assert self.streams.events is not None
+        self.events_at_mark.append(self.streams.events.written)
+        super().mark(device, state, reason)
+
+
+def test_whoever_sees_a_device_come_or_go_finds_it_logged(
+    running: list[Emulator | DeviceReader], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    box = box_emulator("xid")
+    running.append(box)
+    specs = [DeviceSpec("box", "xid", box.port), DeviceSpec("other", "xid", "/dev/nowhere")]
+    streams = StreamRings.create(["box", "other"])
+    board = _WatchedBoard(2, streams)
+    ours, theirs = Pipe()
+    ours.send("end")
+    monkeypatch.setattr(reader_process, "leave_interrupts_to_the_session", lambda: None)
+    read_devices(theirs, specs, streams, RecordRing(PRESS_RING_DTYPE, 8), board)
+    assert [board.state(0), board.state(1)] == [ALIVE, GONE]
+    assert "/dev/nowhere" in board.reason(1)
+    assert board.events_at_mark == [1, 2]
+    assert streams.events is not None
+    kinds = [row.kind for row in events_from_ring(streams.events.take(), streams.devices)]
+    assert kinds[:2] == ["connected", "absent"]  # then what the box says of itself
 
 
 def test_a_killed_reader_is_noticed_and_can_be_started_again(running: list[Emulator | DeviceReader]) -> None:
