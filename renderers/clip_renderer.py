@@ -168,9 +168,11 @@ class ClipRenderer:
     def _prepared(self, job: ClipJob) -> tuple[Scene, CameraPath, Engine]:
         """Scene, camera and engine of ``job``."""
         request = job.request
-        loop = (request.start_s, request.duration_s, request.rate_hz) if request.loop == "closed" else None
+        follows, closed = request.gaze == "moving", request.loop == "closed"  # both make a scene of the clip's own
+        times = (request.start_s, request.duration_s, request.rate_hz) if follows or closed else None
         key = (
-            job.scene_file, request.scene_sha256, request.animation, request.path, job.path_keys, request.lighting, loop
+            job.scene_file, request.scene_sha256, request.animation, request.path, job.path_keys, request.lighting,
+            request.loop, follows, times,
         )  # fmt: skip
         if self._held is None or key != self._key:
             scene, camera = scene_and_camera(job)

@@ -75,6 +75,22 @@ def test_frames_do_not_depend_on_what_a_worker_did_before(scene):
         np.testing.assert_array_equal(a, b)
 
 
+@pytest.mark.parametrize("before", [(0.0, 0.0), "moving"])
+def test_the_fixation_target_is_in_the_clips_that_ask_for_it_alone(scene, before):
+    """One worker, a clip after another of the same scene and path: fixed after moving, moving after fixed."""
+    size = {"size_px": (320, 240)}
+    renderer = ClipRenderer(None)
+    fixed, moving = (job(scene, "foveated", 2, gaze=gaze, **size) for gaze in ((0.0, 0.0), "moving"))
+    later = job(scene, "foveated", 2, gaze="moving", start_s="2", **size)  # the scene is nearest at another place
+    list(renderer.frames(job(scene, "foveated", 2, gaze=before, **size), Unit(0, 2)))
+    for asked in (fixed, moving, fixed, later, moving):
+        frame = next(iter(renderer.frames(asked, Unit(0, 2)))).blocks[0]
+        alone = next(iter(ClipRenderer(None).frames(asked, Unit(0, 2)))).blocks[0]
+        np.testing.assert_array_equal(frame, alone)
+        green = (frame[..., 1] > 0.7) & (frame[..., 0] < 0.1)
+        assert green.any() == (asked is not fixed)
+
+
 def test_measured_error_of_the_reference_is_that_of_independent_references(scene, tmp_path):
     asked = job(scene, "reference", 1, params={"spp": 16})
     store = ClipStore(tmp_path)
