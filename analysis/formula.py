@@ -32,7 +32,9 @@ class RandomTerm:
 @dataclass(frozen=True)
 class ModelFrame:
     """Rows of the table that the model can use. ``x`` (rows, terms), ``terms`` in R's names, ``empty``: factors with
-    one level, which have no column. ``sources``: term -> the term of the formula that it belongs to."""
+    one level, which have no column. ``sources``: term -> the term of the formula that it belongs to. ``parsed``: the
+    formula's terms, ``part`` those rows of the table and ``flags`` its true/false columns (as 0 and 1), to code the
+    model's factors in another way (`type_three`)."""
 
     rows: np.ndarray
     response: str
@@ -42,6 +44,9 @@ class ModelFrame:
     sources: dict[str, str]
     random: list[RandomTerm]
     dropped: dict[Any, str]
+    parsed: Any
+    part: pd.DataFrame
+    flags: set[str]
 
 
 def _r_name(column: str, factors: set[str]) -> str:
@@ -166,7 +171,8 @@ def model_frame(where: str, table: pd.DataFrame, formula: str, random: str | Seq
     else:
         x, names = np.ones((0, 1)), ["(Intercept)"]
     index = np.flatnonzero(rows)
-    return ModelFrame(index, response, x, names, empty, sources, _random_terms(where, table, specs, rows), dropped)
+    grouping = _random_terms(where, table, specs, rows)
+    return ModelFrame(index, response, x, names, empty, sources, grouping, dropped, parsed, part, flags)
 
 
 def independent_columns(x: np.ndarray) -> np.ndarray:

@@ -31,6 +31,7 @@ from analysis.results import (
     numbers,
     result_table,
 )
+from analysis.type_three import deviation_frame
 
 COLUMNS = ["term", "estimate", "se", "df", "t", "p", "log10_p", "ci_low", "ci_high"]
 
@@ -82,9 +83,10 @@ def linear_mixed(
     ``formula`` 'rt ~ a * b'; ``random``: '(1|participant)', a column's name, or a list of them, crossed or nested
     ('(1|a/b)'), also independent slopes '(x||g)'; None: ordinary least squares. Terms are named as R names them, the
     first level of a factor is the reference. ``attrs``: log_likelihood (restricted, in the data's unit), variances
-    {group: variance, 'residual': ...}, sigma, r_squared (least squares only), tests: joint F tests of terms with more
-    than one column are in ``attrs['f_tests']`` [{term, df1, df2, F, p, log10_p}]. A variance of 0 makes rows
-    ``boundary``. Raises InputError for unknown columns or formulas.
+    {group: variance, 'residual': ...}, sigma, r_squared (least squares only), f_tests [{term, df1, df2, F, p,
+    log10_p}]: type III tests of the formula's terms, averaged over the levels of the other factors (empty where cells
+    are missing), which the rows of a factor beside its interaction are not. A variance of 0 makes rows ``boundary``.
+    Raises InputError for unknown columns or formulas.
     """
     frame = model_frame("linear_mixed", table, formula, random)
     y = numbers("linear_mixed", table, frame.response)[frame.rows]
@@ -123,6 +125,7 @@ def linear_mixed(
         variance = rss / (n - p)
         _least_squares_attrs(attrs, y, rss, variance, n, p, scale, has_intercept)
         df = np.full(p, float(n - p))
+        attrs["f_tests"] = _f_tests(frame, design, gamma, np.eye(p) * variance, lambda _: float(n - p))
         return made(_rows(design, gamma, np.eye(p) * variance, df, scale, offset, level, OK, ""))
     few = [term for term in frame.random if len(np.unique(term.codes)) < 2]
     if few:
@@ -160,10 +163,11 @@ def _mixed_rows(
     of_variances[np.ix_(free, free)] = np.linalg.pinv(information, hermitian=True)
     slopes = reml.covariance_slopes(state, variances)
     back = design.back
-    df = np.empty(p)
-    for j in range(p):
-        contrast = back[j]
-        df[j] = _satterthwaite(contrast, state["covariance"], slopes, of_variances)
+
+    def df_of(contrast: np.ndarray) -> float:
+        return _satterthwaite(contrast, state["covariance"], slopes, of_variances)
+
+    df = np.array([df_of(back[j]) for j in range(p)])
     names = ["residual", *(term.name for term in frame.random)]
     in_unit = variances * (unit * scale) ** 2
     log_scale = math.log(unit * scale)
@@ -173,7 +177,7 @@ def _mixed_rows(
         "log_likelihood": state["value"] - (n - p) * log_scale - 0.5 * log_det,
         "variances": dict(zip(names, map(float, in_unit), strict=True)),
         "sigma": math.sqrt(float(in_unit[0])),
-        "f_tests": _f_tests(frame, design, gamma, covariance, state, slopes, of_variances),
+        "f_tests": _f_tests(frame, design, gamma, covariance, df_of),
     }
     status, note = OK, ""
     if not converged:
@@ -247,28 +251,38 @@ def _satterthwaite(
     return 2 * variance**2 / below if below > 0 else math.inf
 
 
+def _type_three(frame: ModelFrame, design: Design) -> dict[str, np.ndarray]:
+    """Type III hypotheses (term -> rows on the coefficients of ``design.q``); none where cells that are missing leave
+    a term without a meaning on average."""
+    coded = deviation_frame(frame)
+    theirs = _design(coded)
+    if theirs.aliased or design.aliased:
+        return {}
+    rows = theirs.back @ (theirs.q.T @ design.q)
+    of_term: dict[str, list[int]] = {}
+    for j, label in enumerate(theirs.labels):
+        if label != "(Intercept)":
+            of_term.setdefault(coded.sources[label], []).append(j)
+    return {term: rows[index] for term, index in of_term.items()}
+
+
 def _f_tests(
-    frame: ModelFrame, design: Design, gamma: np.ndarray, covariance: np.ndarray, state: dict[str, Any],
-    slopes: list[np.ndarray], of_variances: np.ndarray,
+    frame: ModelFrame, design: Design, gamma: np.ndarray, covariance: np.ndarray,
+    df_of: Callable[[np.ndarray], float],
 ) -> list[dict[str, Any]]:  # fmt: skip
-    """Joint test of all columns whose names share their factors (Fai & Cornelius 1996, as lmerTest)."""
-    groups: dict[str, list[int]] = {}
-    columns = sorted({c for c in frame.terms if c != "(Intercept)"}, key=len)
-    for j, label in enumerate(design.labels):
-        if label in columns:
-            groups.setdefault(frame.sources.get(label, label), []).append(j)
+    """Type III test of every term; ``df_of`` a contrast, put together by Fai & Cornelius (1996), as lmerTest does."""
     tests = []
-    for name, index in groups.items():
-        rows = design.back[index]
+    for name, rows in _type_three(frame, design).items():
         middle = rows @ covariance @ rows.T
         estimate = rows @ gamma
-        f = float(estimate @ np.linalg.solve(middle, estimate)) / len(index)
-        _, vectors = np.linalg.eigh(rows @ state["covariance"] @ rows.T)
-        dfs = [_satterthwaite(v @ rows, state["covariance"], slopes, of_variances) for v in vectors.T]
-        total = sum(df / (df - 2) for df in dfs if df > 2)
-        df2 = 2 * total / (total - len(index)) if len(index) > 1 and total > len(index) else dfs[0]
-        tests.append({"term": name, "df1": len(index), "df2": df2, "F": f, "p": p_f(f, len(index), df2),
-                      "log10_p": log10_f(f, len(index), df2)})  # fmt: skip
+        df1 = len(rows)
+        f = float(estimate @ np.linalg.solve(middle, estimate)) / df1
+        _, vectors = np.linalg.eigh(middle)
+        dfs = [df_of(v @ rows) for v in vectors.T]
+        total = sum(df / (df - 2) if math.isfinite(df) else 1.0 for df in dfs if df > 2)
+        df2 = 2 * total / (total - df1) if df1 > 1 and total > df1 else dfs[0]
+        tests.append({"term": name, "df1": df1, "df2": df2, "F": f, "p": p_f(f, df1, df2),
+                      "log10_p": log10_f(f, df1, df2)})  # fmt: skip
     return tests
 
 

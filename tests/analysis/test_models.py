@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+import re
 
 import numpy as np
 import pandas as pd
 import pytest
+import statsmodels.api as sm
+import statsmodels.formula.api as smf
 from scipy import integrate, optimize, special, stats
 
 import analysis
@@ -67,8 +70,6 @@ def test_cumulative_link_of_two_categories_is_binomial_with_the_sign_of_its_thre
 
 @pytest.mark.parametrize("link", ["logit", "probit"])
 def test_binomial_without_random_effects_is_the_generalised_linear_model(link: str) -> None:
-    import statsmodels.formula.api as smf
-
     table = ratings().assign(x=lambda t: np.arange(len(t)) % 7 / 3, k=lambda t: t["yes"].astype(int))
     made = analysis.binomial_mixed(table, "k ~ c * x", link=link)
     fit = {"logit": smf.logit, "probit": smf.probit}[link]("k ~ c * x", table).fit(disp=0)
@@ -89,8 +90,6 @@ def test_crossed_random_intercepts_by_laplace_reduce_to_one() -> None:
 
 def test_linear_mixed_equals_statsmodels_reml() -> None:
     import warnings
-
-    import statsmodels.formula.api as smf
 
     table = ratings(people=12, trials=20)
     made = analysis.linear_mixed(table, "y ~ c", random="(1|who)")
@@ -120,6 +119,45 @@ def test_linear_mixed_of_balanced_data_is_the_analysis_of_variance() -> None:
     between = 4 * float(np.var(means, ddof=1))
     assert made.attrs["variances"]["residual"] == pytest.approx(residual, rel=1e-8)
     assert made.attrs["variances"]["p"] == pytest.approx((between - residual) / 4, rel=1e-7)
+
+
+@pytest.mark.parametrize("formula", ["y ~ a * b * x", "y ~ x * b * a", "y ~ a * flag + b", "y ~ C(a) * `b b`"])
+def test_type_three_tests_average_over_the_other_factors(formula: str) -> None:
+    """In unequal cells against statsmodels' type III of deviation coding; treatment coding would test another thing."""
+    rng = np.random.default_rng(8)
+    a, b, flag = rng.integers(0, 3, 90), rng.integers(0, 2, 90), rng.random(90) < 0.4
+    table = pd.DataFrame({"a": [f"a{v}" for v in a], "b": [f"b{v}" for v in b], "x": rng.normal(size=90), "flag": flag})
+    table["y"] = a + 2 * a * b + flag + rng.normal(size=90)
+    table["b b"] = table["b"]
+    theirs = formula.replace("`b b`", "b").replace("C(a)", "a")
+    for name in ("a", "b", "flag"):
+        theirs = re.sub(rf"\b{name}\b", f"C({name}, Sum)", theirs)
+    fit = smf.ols(theirs, table.assign(flag=flag.astype(str))).fit()
+    wanted = sm.stats.anova_lm(fit, typ=3).drop(index=["Intercept", "Residual"])
+    tests = pd.DataFrame(analysis.linear_mixed(table, formula).attrs["f_tests"])
+    np.testing.assert_allclose(np.sort(tests["F"]), np.sort(wanted["F"]), rtol=1e-9)
+    np.testing.assert_allclose(np.sort(tests["p"]), np.sort(wanted["PR(>F)"]), rtol=1e-7)
+    assert sorted(tests["df1"]) == sorted(wanted["df"])
+
+
+def test_mixed_type_three_tests_of_balanced_factors_are_the_analysis_of_variance() -> None:
+    """The rows of treatment coding are not: they test a factor at the first level of the other."""
+    rng = np.random.default_rng(3)
+    p, a, b = (v.ravel() for v in np.indices((12, 3, 2)))
+    y = rng.normal(size=12)[p] + rng.normal(size=(12, 3))[p, a] + rng.normal(size=(12, 2))[p, b] + 0.5 * a * b
+    table = pd.DataFrame({"p": p, "a": [f"a{v}" for v in a], "b": [f"b{v}" for v in b]})
+    table["y"] = y + 0.5 * rng.normal(size=len(p))
+    made = analysis.linear_mixed(table, "y ~ a * b", random=["(1|p)", "(1|p:a)", "(1|p:b)"])
+    assert min(made.attrs["variances"].values()) > 0
+    tests = pd.DataFrame(made.attrs["f_tests"]).set_index("term")
+    anova = analysis.rm_anova(table, "y", ["a", "b"], "p").set_index("effect")
+    np.testing.assert_allclose(tests.loc[anova.index, "F"], anova["F"], rtol=1e-6)
+    np.testing.assert_allclose(tests.loc[anova.index, "df2"], anova["df2"], rtol=1e-4)
+
+
+def test_there_are_no_type_three_tests_where_a_cell_is_missing() -> None:
+    table = pd.DataFrame({"a": list("xxyyxx"), "b": list("uvuuuv"), "y": [1.0, 2.0, 4.0, 3.0, 1.5, 2.2]})
+    assert analysis.linear_mixed(table, "y ~ a * b").attrs["f_tests"] == []
 
 
 def test_satterthwaites_df_of_a_between_participants_term() -> None:
@@ -152,8 +190,6 @@ def test_terms_are_named_as_r_names_them() -> None:
 
 @pytest.mark.parametrize("link", ["logit", "probit", "cloglog"])
 def test_psychometric_equals_the_generalised_linear_model(link: str) -> None:
-    import statsmodels.api as sm
-
     x, k, n = np.array([-2.0, -1, 0, 1, 2]), np.array([2, 10, 24, 40, 48]), 50
     links = {
         "logit": sm.families.links.Logit(),
