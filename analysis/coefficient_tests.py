@@ -18,7 +18,8 @@ from analysis.laplace import fit_crossed
 from analysis.log_tails import log10_z, p_z
 from analysis.participant_score import ParticipantScore, TermTest, rejected_from
 from analysis.results import BOUNDARY, NOT_CONVERGED, OK, TOO_FEW_SUBJECTS, UNDEFINED, ZERO_ERROR_VARIANCE
-from analysis.threshold_model import Bounds, ThresholdFit, fit_fixed, fit_mixed, separation_direction
+from analysis.threshold_bounds import Bounds, separation_direction
+from analysis.threshold_model import ThresholdFit, fit_fixed, fit_mixed
 
 PARTICIPANTS, LIKELIHOOD_RATIO, WALD = TESTS = ("participants", "likelihood_ratio", "wald")
 STATISTICS = {PARTICIPANTS: ["t", "df"], LIKELIHOOD_RATIO: ["chi2"], WALD: []}

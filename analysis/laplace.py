@@ -8,7 +8,8 @@ import numpy as np
 from scipy import optimize
 
 from analysis.formula import RandomTerm
-from analysis.threshold_model import Bounds, ThresholdFit
+from analysis.threshold_bounds import Bounds
+from analysis.threshold_model import ThresholdFit
 
 
 class Laplace:

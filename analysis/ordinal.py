@@ -37,7 +37,8 @@ from analysis.results import (
     one_of,
     result_table,
 )
-from analysis.threshold_model import LINKS, Bounds, ThresholdFit, collapsed, separation_direction
+from analysis.threshold_bounds import LINKS, Bounds, collapsed, separation_direction
+from analysis.threshold_model import ThresholdFit
 from stimuli.errors import InputError, problem
 
 MAX_CATEGORIES = 100

@@ -26,7 +26,8 @@ import numpy as np
 from scipy import optimize, special
 
 from analysis.log_tails import log10_t, p_t
-from analysis.threshold_model import WIDE_SD, Bounds, Quadrature, ThresholdFit
+from analysis.threshold_bounds import Bounds
+from analysis.threshold_model import WIDE_SD, Quadrature, ThresholdFit
 
 # With random intercepts this far apart (logits) nearly every participant always answers the same: more says no more.
 MAX_SD = 20.0

@@ -12,66 +12,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import pandas as pd
-from scipy import optimize, special
+from scipy import optimize, sparse, special
 
-LINKS = ("logit", "probit", "cloglog")
+from analysis.threshold_bounds import Bounds
+
 # Random intercepts further apart than this make whole groups answer alike: integrands are no longer near normal, and
 # nodes about their mode miss part of them. An even grid does not (its error falls as exp(-2 pi^2 / (SD step))).
 WIDE_SD = 3.0
-
-
-@dataclass(frozen=True)
-class Bounds:
-    """``upper``, ``lower`` (rows, parameters), where they are infinite, and how many observations a row stands for.
-
-    ``added`` (rows, 2): what known parameters add to the upper and the lower bound.
-    """
-
-    upper: np.ndarray
-    lower: np.ndarray
-    no_upper: np.ndarray
-    no_lower: np.ndarray
-    weight: np.ndarray
-    added: np.ndarray
-
-    def rows(self, index: np.ndarray) -> Bounds:
-        """Some rows, or the rows in another order."""
-        parts = (self.upper, self.lower, self.no_upper, self.no_lower, self.weight, self.added)
-        return Bounds(*(part[index] for part in parts))
-
-    def known(self, k: int, value: float) -> Bounds:
-        """The model in which parameter ``k`` is known to be ``value``."""
-        added = self.added + value * np.column_stack([self.upper[:, k], self.lower[:, k]])
-        upper, lower = np.delete(self.upper, k, axis=1), np.delete(self.lower, k, axis=1)
-        return Bounds(upper, lower, self.no_upper, self.no_lower, self.weight, added)
-
-    def at(self, phi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Upper and lower bounds (rows,) without the random part."""
-        return self.upper @ phi + self.added[:, 0], self.lower @ phi + self.added[:, 1]
-
-    def terms(self, a: np.ndarray, b: np.ndarray, link: str) -> tuple[np.ndarray, ...]:
-        """``point_terms`` times the rows' weights; ``a``, ``b`` (rows,) or (rows, nodes)."""
-        flags = (self.no_upper, self.no_lower, self.weight)
-        if a.ndim == 2:
-            flags = (flags[0][:, None], flags[1][:, None], flags[2][:, None])
-        return tuple(flags[2] * part for part in point_terms(a, b, flags[0], flags[1], link))
-
-
-def collapsed(bounds: Bounds, groups: list[np.ndarray]) -> tuple[Bounds, list[np.ndarray]]:
-    """Equal observations of equal groups as one row with a weight: what a study with few conditions comes down to."""
-    key = np.zeros(len(bounds.weight), dtype=np.int64)
-    columns = [*bounds.upper.T, *bounds.lower.T, bounds.no_upper, bounds.no_lower, *bounds.added.T, *groups]
-    for column in columns:
-        codes, unique = pd.factorize(column)
-        key = pd.factorize(key * len(unique) + codes)[0].astype(np.int64)
-    first = np.unique(key, return_index=True)[1]
-    made = bounds.rows(first)
-    weight = np.bincount(key, weights=bounds.weight, minlength=len(first))
-    return (
-        Bounds(made.upper, made.lower, made.no_upper, made.no_lower, weight, made.added),
-        [group[first] for group in groups],
-    )
 
 
 @dataclass(frozen=True)
@@ -84,57 +31,6 @@ class ThresholdFit:
     sd: float
     sd_se: float
     converged: bool
-
-
-def _distribution(x: np.ndarray, link: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """F, 1 - F, density and its derivative."""
-    if link == "logit":
-        p, q = special.expit(x), special.expit(-x)
-        return p, q, p * q, p * q * (q - p)
-    if link == "probit":
-        f = np.exp(-x * x / 2) / math.sqrt(2 * math.pi)
-        return special.ndtr(x), special.ndtr(-x), f, -x * f
-    e = np.exp(np.clip(x, -700, 700))
-    q = np.exp(-e)
-    f = np.where(q > 0, e * q, 0.0)
-    return -np.expm1(-e), q, f, np.where(f > 0, f * (1 - e), 0.0)
-
-
-def point_terms(
-    a: np.ndarray, b: np.ndarray, no_upper: np.ndarray, no_lower: np.ndarray, link: str
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """log P, its derivatives by a and b, and second ones (aa, bb, ab)."""
-    far = {"logit": 40.0, "probit": 37.0, "cloglog": 600.0}[link]
-    a, b = np.clip(a, -far, far), np.clip(b, -far, far)
-    fa, qa, da, ca = _distribution(a, link)
-    fb, qb, db, cb = _distribution(b, link)
-    da, ca = np.where(no_upper, 0.0, da), np.where(no_upper, 0.0, ca)
-    db, cb = np.where(no_lower, 0.0, db), np.where(no_lower, 0.0, cb)
-    fa, qa = np.where(no_upper, 1.0, fa), np.where(no_upper, 0.0, qa)
-    fb, qb = np.where(no_lower, 0.0, fb), np.where(no_lower, 1.0, qb)
-    # The difference on the side where it keeps its digits.
-    p = np.maximum(np.where(fb > 0.5, qb - qa, fa - fb), 1e-300)
-    # Where an impossible bound leaves no probability the slopes stay large but finite.
-    ga, gb = np.minimum(da / p, 1e50), -np.minimum(db / p, 1e50)
-    above, below = np.clip(ca / p, -1e100, 1e100), np.clip(cb / p, -1e100, 1e100)
-    return np.log(p), ga, gb, above - ga * ga, -below - gb * gb, -ga * gb
-
-
-def separation_direction(bounds: Bounds) -> np.ndarray | None:
-    """A direction along which no observation becomes less likely and some more (no finite maximum), or None."""
-    rows = np.vstack([bounds.upper[~bounds.no_upper], -bounds.lower[~bounds.no_lower]])
-    if rows.size == 0:
-        return None
-    rows = np.unique(np.round(rows, 12), axis=0)
-    scale = np.max(np.abs(rows), axis=0)
-    scale[scale == 0] = 1.0
-    rows = rows / scale
-    found = optimize.linprog(
-        -rows.sum(axis=0), A_ub=-rows, b_ub=np.zeros(len(rows)), bounds=[(-1, 1)] * rows.shape[1], method="highs"
-    )
-    if found.status != 0 or found.fun is None or not float(found.fun) < -1e-7:
-        return None
-    return np.asarray(found.x) / scale
 
 
 def fit_fixed(bounds: Bounds, start: np.ndarray, link: str) -> ThresholdFit:
@@ -198,6 +94,15 @@ class Quadrature:
             self.t, weight = special.roots_hermite(nodes)
             self.log_weight = np.log(weight) + self.t**2
         self.mode = np.zeros(len(self.starts))
+        self.sum_upper, self.sum_lower = self._summing(self.bounds.upper), self._summing(self.bounds.lower)
+
+    def _summing(self, columns: np.ndarray) -> sparse.csr_array:
+        """(parameters * groups, rows): times the slopes by a bound, those by every parameter, summed over groups."""
+        rows, parameters = columns.shape
+        place = np.arange(parameters) * len(self.starts) + self.codes[:, None]
+        where = np.nonzero(columns)
+        entries = (columns[where], (place[where], where[0]))
+        return sparse.csr_array(entries, shape=(parameters * len(self.starts), rows))
 
     def _sum(self, values: np.ndarray) -> np.ndarray:
         return np.add.reduceat(values, self.starts, axis=0)
@@ -229,7 +134,8 @@ class Quadrature:
     def value(self, phi: np.ndarray, sd: float, nodes: Nodes) -> float:
         """The log-likelihood by given nodes; `expansion` by the same nodes has its derivatives."""
         points, tau = nodes
-        value, *_ = self._terms(*self.bounds.at(phi), sd * points[self.codes])
+        (a, b), shift = self.bounds.at(phi), sd * points[self.codes]
+        value = self.bounds.values(a[:, None] - shift, b[:, None] - shift, self.link)
         total = _normalised(self._sum(value) - points**2 / 2 + self.log_weight)[1]
         return float(np.sum(total + np.log(tau) - 0.5 * math.log(math.pi)))
 
@@ -245,9 +151,9 @@ class Quadrature:
         value, ga, gb, haa, hbb, hab = self._terms(a, b, sd * points[self.codes])
         joint = self._sum(value) - points**2 / 2 + self.log_weight
         posterior, total = _normalised(joint)
-        # a column at a time: what is kept is (groups, nodes), never (rows, nodes, parameters)
-        at_nodes = [self._sum(up[:, None] * ga + low[:, None] * gb) for up, low in zip(upper.T, lower.T, strict=True)]
-        slopes = np.stack([*at_nodes, -self._sum(ga + gb) * points])
+        # as sparse products: what is kept is (groups, nodes), never (rows, nodes, parameters)
+        by_phi = (self.sum_upper @ ga + self.sum_lower @ gb).reshape(-1, *points.shape)
+        slopes = np.concatenate([by_phi, -(self._sum(ga + gb) * points)[None]])
         scores = np.einsum("gk,dgk->gd", posterior, slopes)
         flat = slopes.reshape(len(slopes), -1)
         spread = (flat * posterior.ravel()) @ flat.T - scores.T @ scores
@@ -272,7 +178,8 @@ class Quadrature:
             curve = 1.0 - sd * sd * self._sum(haa + hbb + 2 * hab)
             step = slope / curve
             u = u + np.clip(step, -3.0, 3.0)
-            if float(np.max(np.abs(step))) < 1e-10:
+            if float(np.max(np.abs(step))) < 1e-7:
+                # the next step is of the order of this one's square
                 break
         self.mode = u
         return u, curve

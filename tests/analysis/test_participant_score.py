@@ -13,7 +13,8 @@ import analysis
 from analysis.apa import sentences
 from analysis.participant_score import ParticipantScore
 from analysis.planned_test import Result, Test
-from analysis.threshold_model import Bounds, Quadrature, fit_fixed, fit_mixed
+from analysis.threshold_bounds import Bounds, point_terms, point_values
+from analysis.threshold_model import Quadrature, fit_fixed, fit_mixed
 from stimuli.errors import InputError
 
 
@@ -176,3 +177,17 @@ def test_a_variance_of_zero_still_gives_its_numbers() -> None:
     text = sentences(Result(Test("choice", "binomial_mixed"), table, "", 8))[0]
     assert "t(7) = " in text
     assert "estimated as 0" in text
+
+
+@pytest.mark.parametrize("link", ["logit", "probit", "cloglog"])
+def test_an_infinite_bound_is_certain_and_its_slope_nothing(link: str) -> None:
+    far, near = np.array([1e9, 0.3]), np.array([0.2, -1e9])
+    none, all_ = np.zeros(2, dtype=bool), np.ones(2, dtype=bool)
+    terms = point_terms(far, near, all_, all_, link)
+    assert all((part == 0).all() for part in terms)
+    # where a bound is far but finite the derivatives are those of the other one alone
+    value, ga, gb, *_ = point_terms(np.array([0.3, 0.3]), np.array([-1e9, 0.0]), none, np.array([False, True]), link)
+    np.testing.assert_allclose((value[0], ga[0], gb[0]), (value[1], ga[1], gb[1]), rtol=1e-12, atol=1e-12)
+    np.testing.assert_array_equal(
+        point_values(far, near, all_, none, link), point_terms(far, near, all_, none, link)[0]
+    )
