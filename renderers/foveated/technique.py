@@ -8,6 +8,7 @@ filtered into the new one (holes come from the support image), samples are merge
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from fractions import Fraction
 from typing import Any, ClassVar
 
@@ -86,13 +87,15 @@ class Foveated:
         self._own_light = self.noisy and (params.light_k_min, params.light_k_max) != k
         self._rasteriser = make_rasteriser(params.rasteriser, is_cuda(), size_px, *grid.mesh)
         self._watch = Stopwatch(measure, dr.sync_thread)
-        self._kernels = {
+        self._kernels: dict[str, Callable[..., Any]] = {
             kernel.__name__: frozen(kernel)
             for kernel in (
                 self._probabilities, self._move, self._flat, self._look, self._mark, self._select, self._trace,
                 self._extract, self._first, self._compose, self._filter,
             )
         }  # fmt: skip
+        if grid.texels == 1:
+            self._kernels["_select"] = self._select_at_once
         self.reset(seed)
 
     def reset(self, seed: int) -> None:
@@ -151,6 +154,13 @@ class Foveated:
         texel_lanes = dr.empty(mi.UInt32, self.grid.texels)
         dr.scatter(texel_lanes, lane, texel & (IS_TEXEL - 1), texel >= IS_TEXEL, mode=alone)
         return pixel, slot, texel_lanes, marked & ~fovea
+
+    def _select_at_once(self, _: int, *of: Any) -> Any:
+        """`_select` without a recording, where a frame may trace one pixel alone: what Dr.Jit 1.5 records of a single
+        lane it replays for any number of them, with wrong numbers or a crash."""
+        found = self._select(*of)
+        dr.eval(found)
+        return found
 
     def _trace(self, state: EngineState, pixel: Any, seed: Any) -> tuple[Samples, Any, Any]:
         """A sample a lane.
