@@ -39,16 +39,16 @@ def technique_params(technique: str, params: Mapping[str, Any]) -> Any:
     try:
         return model(**params)
     except ValidationError as error:
-        valid = " | ".join(model.model_fields) or "none"
-        lines = [
-            problem(
-                f"{technique}: {'.'.join(map(str, e['loc'])) or 'parameters'}",
-                e["msg"].lower(),
-                repr(e["input"]),
-                f"one of {valid}",
-            )
-            for e in error.errors()
-        ]
+        lines = []
+        for detail in error.errors():
+            place, got = ".".join(map(str, detail["loc"])), repr(detail["input"])
+            if detail["type"] == "extra_forbidden":
+                lines.append(problem(technique, "parameter", repr(place), f"one of {' | '.join(model.model_fields)}"))
+            else:
+                said = (
+                    detail["msg"].removeprefix("Input should be ").removeprefix("Value error, ").partition(", got ")[0]
+                )
+                lines.append(problem(technique, place or "parameters", got, said))
         raise InputError(*lines) from error
 
 

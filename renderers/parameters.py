@@ -147,10 +147,10 @@ class Foveated(Parameters):
     def _ordered(self) -> Foveated:
         r0, r1, _ = self.region
         if r1 < r0:
-            raise ValueError(f"r1_deg {r1:g} is below r0_deg {r0:g}")
+            raise ValueError(f"r1_deg of at least r0_deg = {r0:g} (it is {r1:g})")
         for low, high in (("k_min", "k_max"), ("light_k_min", "light_k_max")):
             if getattr(self, high) < getattr(self, low):
-                raise ValueError(f"{high} is below {low}")
+                raise ValueError(f"{high} of at least {low}")
         return self
 
 

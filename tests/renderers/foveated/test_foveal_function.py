@@ -48,10 +48,26 @@ def test_settings_without_sense_are_errors(values: dict) -> None:
         Foveated(**values)
 
 
-def test_the_error_names_both_radii() -> None:
+@pytest.mark.parametrize(
+    ("params", "line"),
+    [
+        (
+            {"r0_deg": 20, "r1_deg": 10},
+            "parameters: got {'r0_deg': 20, 'r1_deg': 10}, wanted r1_deg of at least r0_deg = 20 (it is 10)",
+        ),
+        ({"r1_deg": 4}, "parameters: got {'r1_deg': 4}, wanted r1_deg of at least r0_deg = 10 (it is 4)"),
+        ({"k_min": 0.9, "k_max": 0.1}, "parameters: got {'k_min': 0.9, 'k_max': 0.1}, wanted k_max of at least k_min"),
+        ({"t_max": 1.5}, "t_max: got 1.5, wanted a valid integer"),
+        ({"k_min": 0}, "k_min: got 0, wanted greater than 0"),
+        ({"configuration": "huge"}, "configuration: got 'huge', wanted 'small', 'medium', 'large' or 'full'"),
+        ({"k_mim": 0.1}, "parameter: got 'k_mim', wanted one of configuration | r0_deg"),
+    ],
+)  # fmt: skip
+def test_errors_are_one_line_that_says_what_was_wanted(params: dict, line: str) -> None:
     with pytest.raises(InputError) as caught:
-        render_clip(load_scene("bar"), "foveated", params={"r0_deg": 20, "r1_deg": 10})
-    assert "r1_deg 10 is below r0_deg 20" in str(caught.value)
+        render_clip(load_scene("bar"), "foveated", params=params)
+    assert str(caught.value).startswith(f"foveated: {line}")
+    assert "\n" not in str(caught.value).strip()
 
 
 def test_shares_at_a_display() -> None:
