@@ -52,13 +52,23 @@ class BelowFullRate:
 
 @dataclass(frozen=True)
 class _Density:
-    """How likely a condition's pixels are traced, and what else makes its pictures."""
+    """How likely a condition's pixels are traced, and what else makes its pictures: ``others``, or ``at_full_rate``
+    where all are traced."""
 
     condition: str
     block: str
     spec: ClipSpec
     others: str
+    at_full_rate: str
     chance: np.ndarray
+
+    def share_unlike(self, other: _Density) -> float:
+        """The share of a frame's samples, in [0, 1], in which the pictures of two are expected to differ."""
+        if self.spec.size_px != other.spec.size_px or self.at_full_rate != other.at_full_rate:
+            return 1.0
+        if self.others == other.others:
+            return float(np.mean(np.abs(self.chance - other.chance)))
+        return float(np.mean(1 - np.minimum(self.chance, other.chance)))
 
 
 def below_full_rate(study: Study) -> tuple[BelowFullRate, ...]:
@@ -69,20 +79,22 @@ def below_full_rate(study: Study) -> tuple[BelowFullRate, ...]:
             found.condition, found.spec.size_px, float(np.mean(found.chance < 1))
         )
         for found in _densities(study)
+        if CATALOGUE[found.spec.technique].density
     }
     return tuple(rows.values())
 
 
 def same_samples_problems(study: Study) -> list[str]:
-    """Pairs of conditions of one block whose pictures could hardly be told apart: all else being equal, they are
-    expected to differ in less than 1 % of a frame's samples (the mean of |p_1 - p_2| over pixels) on this display."""
+    """Pairs of conditions of one block whose pictures could hardly be told apart: they are expected to differ in less
+    than 1 % of a frame's samples on this display: all else being equal the mean of |p_1 - p_2| over pixels, and where
+    they differ in what a pixel that is always traced does not hang on (full ray tracing, cache), of 1 - min(p_1, p_2).
+    """
     found: dict[tuple[str, str, str], str] = {}
     for one, other in combinations(_densities(study), 2):
         key = (one.block, one.condition, other.condition)
-        alike = one.block == other.block and one.others == other.others and one.spec.size_px == other.spec.size_px
-        if one.condition == other.condition or not alike or key in found:
+        if one.condition == other.condition or one.block != other.block or key in found:
             continue
-        share = float(np.mean(np.abs(one.chance - other.chance)))
+        share = one.share_unlike(other)
         if share < SAME_SAMPLES:
             where = f"block {one.block}: {one.condition} and {other.condition}"
             wanted = f"at least {SAME_SAMPLES:.0%} on this display (or --override {SAME_SAMPLES_OVERRIDE}=REASON)"
@@ -91,7 +103,8 @@ def same_samples_problems(study: Study) -> list[str]:
 
 
 def _densities(study: Study) -> list[_Density]:
-    """Each gaze-contingent condition of each block once, where the display's geometry says where it is."""
+    """Each condition of each block whose density of samples is known once, where the display's geometry says where its
+    pixels are."""
     if study.display.geometry != "screen":
         return []
     made: dict[tuple[str, str, str], _Density] = {}
@@ -99,12 +112,14 @@ def _densities(study: Study) -> list[_Density]:
     for trial in possible_trials(study):
         for panel in trial.panels:
             entry = CATALOGUE.get(panel.technique)
-            if entry is None or not entry.density:
+            if entry is None or entry.full_rate_params is None:
                 continue
             spec = clip_spec(study, trial, panel)
             params: BaseModel = entry.params.model_validate_json(spec.params)
             values = params.model_dump(mode="json")
-            others = json.dumps([{k: v for k, v in values.items() if k not in entry.density_params}, spec.rate_hz])
+            rest = {k: v for k, v in values.items() if k not in entry.density_params}
+            others = json.dumps([panel.technique, rest, spec.rate_hz])
+            told = {k: values[k] for k in entry.full_rate_params if values[k]}
             asked = (panel.technique, spec.params, spec.size_px)
             if asked not in chances:
                 geometry = ViewGeometry(*study.display.panel_m(spec.size_px), study.display.distance_m)
@@ -114,5 +129,6 @@ def _densities(study: Study) -> list[_Density]:
                 assert chance is not None
                 chances[asked] = chance
             key = (trial.block, panel.condition, f"{others} {spec.size_px}")
-            made.setdefault(key, _Density(panel.condition, trial.block, spec, others, chances[asked]))
+            at_full_rate = json.dumps([told, spec.rate_hz])
+            made.setdefault(key, _Density(panel.condition, trial.block, spec, others, at_full_rate, chances[asked]))
     return list(made.values())

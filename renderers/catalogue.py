@@ -29,7 +29,9 @@ class Entry:
     ``counts_samples``: its frames say how often each pixel was sampled.
     ``own_times``: each sample has a time of its own, so meshes that change their shape are refused.
     ``density``: module of ``picture_probability``, how likely each pixel is traced in a frame; ``density_params``: the
-    parameters that it hangs on. ``headset``: it also renders the viewports of its paper's headset (`renderers.stereo`).
+    parameters that it hangs on. ``full_rate_params``: those that its pictures hang on where every pixel is traced in
+    every frame; there two techniques with the same values show the same (None: never).
+    ``headset``: it also renders the viewports of its paper's headset (`renderers.stereo`).
     """
 
     name: str
@@ -49,6 +51,7 @@ class Entry:
     own_times: bool = False
     density: str = ""
     density_params: tuple[str, ...] = ()
+    full_rate_params: tuple[str, ...] | None = None
     headset: bool = False
 
 
@@ -76,6 +79,7 @@ _ENTRIES: tuple[Entry, ...] = (
         module="renderers.vanilla",
         class_name="Vanilla",
         knobs={},
+        full_rate_params=("light_samples", "delay_frames"),
         framed=True,
         baseline=True,
         stateless=True,
@@ -111,6 +115,7 @@ _ENTRIES: tuple[Entry, ...] = (
         gaze_contingent=True,
         density="renderers.foveated.foveal_function",
         density_params=("configuration", "r0_deg", "r1_deg", "p_min"),
+        full_rate_params=("light_samples",),
         counts_samples=True,
         headset=True,
     ),
@@ -197,10 +202,10 @@ def sampling_probability(
     name: str, params: BaseModel, size_px: tuple[int, int], geometry: ViewGeometry, gaze: Gaze | None = None
 ) -> np.ndarray | None:
     """(H, W): how likely technique ``name`` traces each pixel of a panel seen in ``geometry``; numpy alone. None where
-    the technique's samples do not hang on eccentricity."""
+    the technique's samples do not hang on eccentricity, and some pixels are not traced."""
     module = CATALOGUE[name].density
     if not module:
-        return None
+        return None if CATALOGUE[name].full_rate_params is None else np.ones(size_px[::-1])
     # The camera's field does not matter where the screen's geometry is given.
     return import_module(module).picture_probability(params, size_px, 1.0, geometry, gaze)
 

@@ -12,9 +12,12 @@ from studyapp.cli import main
 from tests.protocols.tiny import rating, tiny
 
 
-def study(distance_m: float, other: dict[str, object] | None = None, geometry: str = "screen"):
+def study(
+    distance_m: float, other: dict[str, object] | None = None, geometry: str = "screen", against: str = "foveated"
+):
     small = {"technique": "foveated", "params": {"configuration": "small"}}
-    full = {"technique": "foveated", "params": {"configuration": "full", **(other or {})}}
+    named = {"configuration": "full"} if against == "foveated" else {}
+    full = {"technique": against, "params": {**named, **(other or {})}}
     return tiny(
         display={"size_px": [1920, 1080], "width_m": 0.6, "distance_m": distance_m, "geometry": geometry},
         conditions={"small": small, "full": full},
@@ -40,7 +43,22 @@ def test_from_afar_the_configurations_show_the_same() -> None:
 
 
 def test_what_differs_otherwise_is_not_refused() -> None:
-    assert same_samples_problems(study(3.0, {"k_min": 0.2})) == []
+    assert same_samples_problems(study(3.0, {"light_samples": 4})) == []
+    assert same_samples_problems(study(3.0, {"delay_frames": 1}, against="vanilla")) == []
+    assert same_samples_problems(study(0.6, {"configuration": "small", "k_min": 0.2})) == []
+
+
+def test_what_no_pixel_at_full_rate_hangs_on_makes_no_difference() -> None:
+    """From afar the fovea is the whole picture: the cache is never asked."""
+    assert len(same_samples_problems(study(3.0, {"k_min": 0.2}))) == 1
+    assert len(same_samples_problems(study(3.0, {"configuration": "small", "k_min": 0.2}))) == 1
+
+
+def test_full_ray_tracing_is_what_full_shows() -> None:
+    (line,) = same_samples_problems(study(3.0, against="vanilla"))
+    assert line.startswith("block rating: small and full: samples that differ: got 0.00%, wanted at least 1%")
+    assert same_samples_problems(study(0.6, against="vanilla")) == []
+    assert {row.condition for row in below_full_rate(study(0.6, against="vanilla"))} == {"small"}
 
 
 def test_a_cameras_own_field_is_not_known_here() -> None:
