@@ -30,7 +30,7 @@ from studyapp.trial import AnswerDevice
 BUTTONS = tuple("12345678")
 GAZE_HZ = 250.0
 START_LIMIT_S = 30.0
-EMULATOR_SILENCE_S = 2.0
+EMULATOR_SILENCE_S = 10.0
 """An emulator shares the processor with everything else and may stutter; one that is gone closes its line."""
 
 

@@ -13,7 +13,7 @@ from studyapp.devices.device_reader import DeviceReader
 from studyapp.devices.emulators import Emulator
 from studyapp.seams import Press
 
-LINE_LIMIT_S = 2.0  # a press that has not come through the line after so long never will
+LINE_LIMIT_S = 10.0  # a press that has not come through the line after so long never will
 
 
 class DirectPresses:
