@@ -67,12 +67,14 @@ def display_luma(color: Any, exposure: Any) -> Any:
 
 
 def look(
-    grid: SupportGrid, place: Any, depth: Any, shown: Any, edge: Any, to_world: Any, exposure: Any, texel_pixel: Any
-) -> Any:
+    grid: SupportGrid, place: Any, depth: Any, shown: Any, edge: Any, mover: Any, to_world: Any, exposure: Any,
+    texel_pixel: Any,
+) -> Any:  # fmt: skip
     """The reprojected picture at support resolution: (world depth, luma, edge, 1 where there is something), packed.
 
     Luma is that of the texel's mean colour, the coarse picture's filter: 3x3 taps of the last picture around its place
-    there. Background is as far as `BACKGROUND`, where window depth still resolves 1 %.
+    there. Background is as far as `BACKGROUND`, where window depth still resolves 1 %. ``mover`` of each vertex (None:
+    nothing moves): the mesh between vertices of different bodies is no surface, whatever their depths; edge is -1.
     """
     here = dr.gather(mi.Vector2f, place, texel_pixel)
     seen = was_seen(here, grid.width, grid.height)
@@ -87,9 +89,15 @@ def look(
     luma = display_luma(total * (1 / 9), exposure)
     column = mi.UInt32(dr.clip(here.x * (grid.columns / grid.width), 0, grid.columns - 1))
     row = mi.UInt32(dr.clip(here.y * (grid.rows / grid.height), 0, grid.rows - 1))
-    vertex = (row + 1) * (grid.columns + 2) + column + 1
+    across = grid.columns + 2
+    vertex = (row + 1) * across + column + 1
+    facing = dr.gather(mi.Float, edge, vertex, seen)
+    if mover is not None:
+        own = dr.gather(mi.UInt32, mover, vertex, seen)
+        for near in (vertex - 1, vertex + 1, vertex - across, vertex + across):
+            facing = dr.select(dr.gather(mi.UInt32, mover, near, seen) == own, facing, -1)
     packed = dr.empty(mi.Float, grid.texels * 4)
-    value = mi.Vector4f(z, luma, dr.gather(mi.Float, edge, vertex, seen), dr.select(seen, mi.Float(1), mi.Float(0)))
+    value = mi.Vector4f(z, luma, facing, dr.select(seen, mi.Float(1), mi.Float(0)))
     dr.scatter(packed, value, dr.arange(mi.UInt32, grid.texels))
     return packed
 

@@ -3,6 +3,9 @@
 A frame: the last support grid is moved and rasterised (where was each pixel?), what reprojects badly is marked, the
 pixels of the fovea, of the support image, the marked and the randomly drawn ones are traced, the last picture is
 filtered into the new one (holes come from the support image), samples are merged into it. Frame 0 and cuts trace all.
+
+The paper's scenes are static. Here the mesh moves with rigid movers and is marked between bodies, so that they leave no
+trail; their shadows, reflections, and meshes that change their shape are, outside of the fovea, as old as the samples.
 """
 
 from __future__ import annotations
@@ -234,8 +237,9 @@ class Foveated:
                     place, depth = self._rasteriser.draw(moved, self._blocks.indices(self._flat_of(moved)))
                 with stage("marks"):
                     exposure = opaque_float(view.exposure)
+                    mover = self._mesh[3] if self.engine.tracer.bodies and self.params.reproject_movers else None
                     looks = run["_look"](
-                        texels, place, depth, old.shown, edge, state.to_world, exposure, self._texel_pixel
+                        texels, place, depth, old.shown, edge, mover, state.to_world, exposure, self._texel_pixel
                     )
                     self._marks = run["_mark"](texels, looks)
             with stage("select"):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -15,7 +17,7 @@ from renderers.frozen import frozen
 from renderers.parameters import Foveated as Parameters
 from renderers.vanilla import frame_lanes
 from stimuli import load_scene
-from stimuli.scene import Scene
+from stimuli.scene import Mover, Scene
 from tests.renderers.foveated.test_technique import (
     NO_MARKS,
     RATE,
@@ -26,7 +28,7 @@ from tests.renderers.foveated.test_technique import (
     view,
     wall,
 )
-from tests.renderers.scenes import SlidingCamera, velocity_for
+from tests.renderers.scenes import SlidingCamera, quad, scene_of, unlit, velocity_for
 
 activate()
 
@@ -232,3 +234,28 @@ def test_the_taps_are_nearly_normal() -> None:
     # a sum of four has 6/5 / 4 less kurtosis than the normal's 3
     np.testing.assert_allclose((values**4).mean(axis=1), 2.7, atol=0.05)
     assert np.abs(values).max() < 3.5
+
+
+@pytest.mark.parametrize("pace", [1.0, 10.0])
+def test_what_a_mover_uncovers_is_traced_anew_though_its_depth_is_nearly_the_same(pace: float) -> None:
+    """A red panel slides a hundredth of its distance before a grey wall, ``pace`` px a frame: it leaves no trail."""
+    wide = scene_of(
+        quad((-9, -9, -2), (18, 0, 0), (0, 18, 0), unlit(color=(0.3, 0.3, 0.3)), "wall"),
+        camera=SlidingCamera((0.0, 0.0, 0.0)),
+    )
+    speed = velocity_for((pace, 0.0), 1.98, SIZE[1], float(RATE))[0]
+    panel = quad((0.6, -0.3, -1.98), (0.4, 0, 0), (0, 0.6, 0), unlit(color=(0.9, 0.05, 0.05)), "panel")
+    slide = SlidingCamera((-abs(speed), 0.0, 0.0))  # its poses are a track as good as any
+    scene = replace(wide, movers=(Mover("panel", (panel,), slide),))
+    technique = Foveated(Engine(scene), SIZE, Parameters(p_min=0.0, r0_deg=0.0, r1_deg=0.0, **NO_MARKS), 1, "total")
+    for k in range(7):
+        frame = technique.render(view(scene, k))
+    wanted = vanilla_frame(scene, view(scene, 6)).color
+    still = vanilla_frame(scene, view(scene, 0)).color
+    uncovered = (still[..., 1] < 0.1) & (wanted[..., 1] > 0.2)
+    assert uncovered.sum() > min(5 * pace, 14) * 20
+    wrong = np.abs(frame.color - wanted).max(-1) > 0.02  # single pixels of the corners
+    assert wrong[uncovered].mean() < 0.03
+    assert wrong.mean() < 0.002
+    traced = technique.show(view(scene, 6))["sampled"]
+    assert traced.mean() < 0.25
