@@ -26,6 +26,7 @@ import numpy as np
 from scipy import optimize, special
 
 from analysis.log_tails import log10_t, p_t
+from analysis.newton import uphill_step
 from analysis.threshold_bounds import Bounds
 from analysis.threshold_model import WIDE_SD, Quadrature, ThresholdFit
 
@@ -188,7 +189,7 @@ def _climbed(quadrature: Quadrature, theta: np.ndarray, free: list[int], ordered
         if theta[-1] == MAX_SD and scores[:, -1].sum() > 0:
             free = [j for j in free if j < len(theta) - 1]
         gradient = scores.sum(axis=0)[free]
-        step = _uphill(information[np.ix_(free, free)], gradient)
+        step = uphill_step(information[np.ix_(free, free)], gradient)
         gain, factor = float(gradient @ step), 1.0
         if gain < 1e-18:
             return theta, scores, information
@@ -210,23 +211,6 @@ def _climbed(quadrature: Quadrature, theta: np.ndarray, free: list[int], ordered
             # the next step is of the order of this one's square
             return theta, scores, information
     return None
-
-
-def _uphill(information: np.ndarray, gradient: np.ndarray) -> np.ndarray:
-    """Newton's step; where the information is not positive definite, with a ridge that makes it so."""
-    if not len(gradient):
-        return gradient
-    scale = np.sqrt(np.maximum(np.abs(np.diag(information)), 1e-300))
-    scaled = information / np.outer(scale, scale)
-    ridge = 0.0
-    while True:
-        try:
-            factor = np.linalg.cholesky(scaled + ridge * np.eye(len(scale)))
-        except np.linalg.LinAlgError:
-            ridge = max(1e-3, 4 * ridge)
-            continue
-        half = np.linalg.solve(factor, gradient / scale)
-        return np.asarray(np.linalg.solve(factor.T, half) / scale)
 
 
 def _constant_in_groups(bounds: Bounds, groups: np.ndarray) -> np.ndarray:

@@ -9,6 +9,7 @@ import numpy as np
 from scipy import linalg, optimize
 
 from analysis.formula import RandomTerm
+from analysis.newton import uphill_step
 
 
 def _cross(a: RandomTerm, b: RandomTerm, m: int, k: int) -> np.ndarray:
@@ -34,26 +35,39 @@ class Reml:
         zq = np.vstack([np.stack([_by_group(t, c, m) for c in q.T], 1) for t, m in zip(random, sizes, strict=True)])
         zy = np.concatenate([_by_group(t, y, m) for t, m in zip(random, sizes, strict=True)])[:, None]
         qy = (q.T @ y)[:, None]
-        self.gram = np.block([[zz, zq, zy], [zq.T, np.eye(self.p), qy], [zy.T, qy.T, np.array([[float(y @ y)]])]])
+        gram = np.block([[zz, zq, zy], [zq.T, np.eye(self.p), qy], [zy.T, qy.T, np.array([[float(y @ y)]])]])
+        # Z = U R' with orthonormal U: on its span V is K = s0 I + sum s_k R_k' R_k (of any sign), elsewhere s0 I.
+        values, vectors = np.linalg.eigh(zz)
+        kept = values > len(values) * 1e-15 * values[-1]
+        roots = np.sqrt(values[kept])
+        r = vectors[:, kept] * roots
+        self.parts = [r[self.owner == j].T @ r[self.owner == j] for j in range(len(random))]
+        self.inside = (vectors[:, kept] / roots).T @ gram[: len(zz)]
+        self.outside = gram - self.inside.T @ self.inside
+        self.outside[: len(zz)] = self.outside[:, : len(zz)] = 0.0
 
     def state(self, variances: np.ndarray) -> dict[str, Any]:
-        """Restricted log-likelihood, its gradient and (negative) Hessian by the variances, and the coefficients."""
+        """Restricted log-likelihood, its gradient and (negative) Hessian by the variances, and the coefficients.
+
+        Variances may be negative; LinAlgError where V is not positive definite.
+        """
         s0, s = variances[0], variances[1:]
-        d = np.sqrt(s[self.owner])
-        # V^-1 = (I - Z D A^-1 D Z') / s0 with A = s0 I + D Z'Z D.
-        a = s0 * np.eye(len(d)) + d[:, None] * self.gram[: len(d), : len(d)] * d
-        root = linalg.cholesky(a, lower=True, check_finite=False)
+        if not s0 > 0:
+            raise np.linalg.LinAlgError("the residual variance is not positive")
+        k_matrix = sum((v * part for v, part in zip(s, self.parts, strict=True)), s0 * np.eye(len(self.inside)))
+        root = linalg.cholesky(k_matrix, lower=True, check_finite=False)
         # (Z X y)' V^-1 (Z X y) in one piece.
-        half = linalg.solve_triangular(root, d[:, None] * self.gram[: len(d)], lower=True, check_finite=False)
-        whole = (self.gram - half.T @ half) / s0
-        g, x = slice(0, len(d)), slice(len(d), len(d) + self.p)
+        half = linalg.solve_triangular(root, self.inside, lower=True, check_finite=False)
+        whole = self.outside / s0 + half.T @ half
+        q = len(self.owner)
+        g, x = slice(0, q), slice(q, q + self.p)
         z_v_z, z_v_x, x_v_x = whole[g, g], whole[g, x], whole[x, x]
         z_v_y, x_v_y, y_v_y = whole[g, -1], whole[x, -1], float(whole[-1, -1])
         inverse = np.linalg.inv(x_v_x)
         beta = inverse @ x_v_y
         y_p_y = y_v_y - float(x_v_y @ beta)
         z_p_z, z_p_y = z_v_z - z_v_x @ inverse @ z_v_x.T, z_v_y - z_v_x @ beta
-        log_det_v = self.n * math.log(s0) + 2 * float(np.sum(np.log(np.diag(root)))) - len(d) * math.log(s0)
+        log_det_v = (self.n - len(root)) * math.log(s0) + 2 * float(np.sum(np.log(np.diag(root))))
         value = -0.5 * (
             log_det_v + float(np.linalg.slogdet(x_v_x)[1]) + y_p_y + (self.n - self.p) * math.log(2 * math.pi)
         )
@@ -145,3 +159,29 @@ def _rises(reml: Reml, ratios: np.ndarray) -> np.ndarray:
     state = reml.state(np.concatenate([[1.0], ratios**2]))
     slope = state["square"] * (reml.n - reml.p) / max(state["y_p_y"], 1e-300) - state["trace"]
     return np.asarray(slope > 1e-6 * np.abs(state["trace"]))
+
+
+def below_zero(reml: Reml, variances: np.ndarray) -> np.ndarray | None:
+    """The maximum over all variances with which V is positive definite, from one at which some are held at 0.
+
+    None where the search does not end (the likelihood may have no maximum there).
+    """
+    theta = variances.copy()
+    state = reml.state(theta)
+    for _ in range(100):
+        step = uphill_step(state["information"], state["gradient"])
+        gain, factor = float(state["gradient"] @ step), 1.0
+        while factor > 1e-8:
+            try:
+                reached = reml.state(theta + factor * step)
+            except np.linalg.LinAlgError:
+                reached = None
+            if reached is not None and reached["value"] >= state["value"] - 1e-13 * abs(state["value"]):
+                break
+            factor /= 2
+        else:
+            return theta if gain < 1e-10 else None
+        theta, state = theta + factor * step, reached
+        if gain < 1e-16 * (1 + abs(state["value"])):
+            return theta
+    return None
