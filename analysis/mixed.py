@@ -53,13 +53,13 @@ def linear_mixed(
     are missing), which the rows of a factor beside its interaction are not. Raises InputError for unknown columns or
     formulas.
 
-    ``variances``: 'nonnegative' holds them at 0 or above, as lme4 does; or 'unbounded' (SAS's NOBOUND, JMP's default):
-    one of a random effect may come out negative, as long as the observations' covariance is positive definite. Rows
-    are ``boundary`` where one is 0 or negative; elsewhere both are the same. Held at 0, an effect's error is pooled
-    with a larger one, and its test rejects too seldom (3.5 % of true nulls for 12 participants who judge alike, at
-    5 %); unbounded, tests of balanced data are those of the analysis of variance, exact (Stroup & Littell 2002, Proc.
-    Kansas State Conf. Appl. Stat. Agric.: the variances serve the tests of fixed effects). As estimates of how much
-    participants differ, read 'nonnegative'.
+    ``variances``: 'nonnegative' holds them at 0 or above, as lme4 does; with 'unbounded' (SAS's NOBOUND, JMP's
+    default) one of a random effect may come out negative as long as the observations' covariance is positive definite
+    (where such a maximum is not found, as 'nonnegative'). Where all are positive both are the same; else rows are
+    ``boundary``. Held at 0, an effect's error is pooled with a larger one, and its test rejects too seldom (3.5 % of
+    true nulls for 12 participants who judge alike, at 5 %); unbounded, tests of balanced data are those of the analysis
+    of variance, exact (Stroup & Littell 2002, Conf. Appl. Stat. Agric., 32). For how much participants differ, read
+    'nonnegative'.
     """
     one_of("linear_mixed", "variances", variances, VARIANCES)
     frame = model_frame("linear_mixed", table, formula, random)
@@ -76,7 +76,7 @@ def linear_mixed(
     if not frame.random:
         method = f"Linear model, {formula}; ordinary least squares."
     n_subjects = len(np.unique(frame.random[0].codes)) if frame.random else n
-    attrs: dict[str, Any] = {"n": n}
+    attrs: dict[str, Any] = {"n": n, "references": frame.references}
 
     def made(rows: list[dict[str, Any]]) -> pd.DataFrame:
         rows = rows + [_nothing(t, UNDEFINED, "is a linear combination of other terms") for t in design.aliased]
@@ -132,7 +132,6 @@ def _mixed_rows(
     free = variances > 0
     if bound == UNBOUNDED and converged and not free.all():
         found = below_zero(reml, variances)
-        converged = found is not None
         if found is not None:
             variances, free = found, np.ones(len(variances), dtype=bool)
     state = reml.state(variances)

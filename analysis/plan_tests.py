@@ -193,13 +193,14 @@ def _cumulative_link(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.D
 
 
 def _linear_mixed(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.DataFrame:
-    """With ``scenes_random`` (`plan.with_scenes`): effects that differ by participant and by scene too."""
+    """With ``scenes_random`` (`plan.with_scenes`): effects that differ by participant and by scene too. Variances may
+    be negative: they are there for the tests, which hold their level so (`analysis.linear_mixed`)."""
     formula = _formula(own, dv, test)
     random = _random_terms(own, test, formula)
     if test.options.get("scenes_random"):
         random = ["(1|scene)", *(f"(1|scene:{name})" for name in test.within), f"(1|{test.subject})"]
         random += [f"(1|{test.subject}:{name})" for name in test.within]
-    table = analysis.linear_mixed(own, formula, random=random)
+    table = analysis.linear_mixed(own, formula, random=random, variances="unbounded")
     joint = [
         f"{one['term']}: F({one['df1']:g}, {one['df2']:.1f}) = {one['F']:.2f}, {p_words(one['p'])}."
         for one in table.attrs.get("f_tests") or []
