@@ -30,7 +30,7 @@ def sentences(result: Result) -> list[str]:
     make = _SENTENCES.get(result.test.test)
     if make is None:
         return []
-    said = []
+    said = _joint(result)
     for row in ({str(key): value for key, value in one.items()} for one in result.table.to_dict("records")):
         status = row.get("status", "ok")
         if result.test.test == "cumulative_link" and "|" in str(row.get("term", "")):
@@ -162,7 +162,40 @@ def _coefficient(result: Result, row: Mapping[str, Any]) -> str:
     else:
         statistic = f"z = {number(row['z'], 2)}"
     estimate = f"b = {number(row['estimate'], 2)}, {_interval(row['ci_low'], row['ci_high'])}"
-    return f"{result.test.name}, {row['term']}: {estimate}, {statistic}, {p_words(row['p'])}."
+    term = _term_words(str(row["term"]), result.table["term"], result.table.attrs.get("references") or {})
+    return f"{result.test.name}, {term}: {estimate}, {statistic}, {p_words(row['p'])}."
+
+
+def _joint(result: Result) -> list[str]:
+    """The type III tests of a mixed model's terms, which come before its coefficients; those of one level each."""
+    tests = result.table.attrs.get("f_tests") or []
+    return [
+        f"{result.test.name}, {one['term']}: F({one['df1']:g}, {number(one['df2'], 1)}) = {number(one['F'], 2)}, "
+        f"{p_words(one['p'])} (type III)."
+        for one in tests
+    ]
+
+
+def _term_words(term: str, terms: pd.Series, references: Mapping[str, str]) -> str:
+    """What a coefficient is the difference of: ``conditiongold`` as 'condition: gold − dense', beside an interaction
+    with the level of the other factor at which it holds."""
+    if term == "(Intercept)" or not references:
+        return term
+    factor_of = {
+        part: max((f for f in references if part.startswith(f) and part != f), key=len, default="")
+        for one in terms.astype(str)
+        for part in one.split(":")
+    }
+    parts = term.split(":")
+    words = [f"{f}: {part[len(f) :]} − {references[f]}" if (f := factor_of[part]) else part for part in parts]
+    beside = {
+        factor_of[other]
+        for one in terms.astype(str)
+        if len(one.split(":")) > len(parts) and set(parts) <= set(one.split(":"))
+        for other in one.split(":")
+    } - {factor_of[part] for part in parts}
+    at = [f"{factor} {references[factor]}" for factor in references if factor in beside]
+    return " × ".join(words) + (f", at {', '.join(at)}" if at else "")
 
 
 def _wilcoxon(result: Result, row: Mapping[str, Any]) -> str:

@@ -34,7 +34,8 @@ class ModelFrame:
     """Rows of the table that the model can use. ``x`` (rows, terms), ``terms`` in R's names, ``empty``: factors with
     one level, which have no column. ``sources``: term -> the term of the formula that it belongs to. ``parsed``: the
     formula's terms, ``part`` those rows of the table and ``flags`` its true/false columns (as 0 and 1), to code the
-    model's factors in another way (`type_three`)."""
+    model's factors in another way (`type_three`). ``references``: factor -> its first level, which its terms are
+    differences from."""
 
     rows: np.ndarray
     response: str
@@ -47,6 +48,7 @@ class ModelFrame:
     parsed: Any
     part: pd.DataFrame
     flags: set[str]
+    references: dict[str, str]
 
 
 def _r_name(column: str, factors: set[str]) -> str:
@@ -172,7 +174,9 @@ def model_frame(where: str, table: pd.DataFrame, formula: str, random: str | Seq
         x, names = np.ones((0, 1)), ["(Intercept)"]
     index = np.flatnonzero(rows)
     grouping = _random_terms(where, table, specs, rows)
-    return ModelFrame(index, response, x, names, empty, sources, grouping, dropped, parsed, part, flags)
+    texts = [name for name in variables if not pd.api.types.is_numeric_dtype(part[name].dtype)]
+    references = {name: str(coded(part, name)[1][0]) for name in texts if name not in empty and len(part)}
+    return ModelFrame(index, response, x, names, empty, sources, grouping, dropped, parsed, part, flags, references)
 
 
 def independent_columns(x: np.ndarray) -> np.ndarray:

@@ -163,7 +163,7 @@ def _nothing(frame: ModelFrame, terms: list[str], status: str, note: str, what: 
     """A table that says why there is no estimate."""
     empty = dict.fromkeys(COLUMNS[1:], math.nan)
     rows = [{"term": t, **empty, "status": status, "note": note} for t in terms or ["(Intercept)"]]
-    attrs = {"log_likelihood": math.nan, "random_sd": {}, "n": len(frame.rows)}
+    attrs = {"log_likelihood": math.nan, "random_sd": {}, "n": len(frame.rows), "references": frame.references}
     return result_table(rows, COLUMNS, method=what, n_subjects=_groups(frame), dropped=frame.dropped, attrs=attrs)
 
 
@@ -202,6 +202,7 @@ def _fit(
         "log_likelihood": fit.log_likelihood,
         "aic": 2 * count - 2 * fit.log_likelihood,
         "n": len(frame.rows),
+        "references": frame.references,
         "random_sd": random_sd,
         "covariance": fit.covariance.tolist(),
         "test": test,
@@ -266,7 +267,13 @@ def _separated(
             row["note"] = "other terms separate the answers: no finite maximum of the likelihood"
         rows.append(row)
     rows += _aliased_rows([*aliased, *frame.empty], "has no coefficient of its own")
-    attrs = {"log_likelihood": math.nan, "random_sd": {}, "n": len(frame.rows), "test": test}
+    attrs = {
+        "log_likelihood": math.nan,
+        "random_sd": {},
+        "n": len(frame.rows),
+        "references": frame.references,
+        "test": test,
+    }
     return result_table(
         rows, _columns(test), method=what, n_subjects=_groups(frame), dropped=frame.dropped, attrs=attrs
     )

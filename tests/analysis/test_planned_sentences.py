@@ -131,6 +131,31 @@ def test_thresholds_have_errors_over_participants() -> None:
     assert "Jackknife over 4 participants" in found.attrs["method"]
 
 
+def test_a_mixed_models_coefficients_say_what_is_taken_from_what_and_its_terms_come_first() -> None:
+    rng = np.random.default_rng(4)
+    p, c, s = (v.ravel() for v in np.indices((8, 3, 2)))
+    table = pd.DataFrame({
+        "participant": p, "condition": np.array(["fast", "slow", "slower"])[c], "scene": np.array(["bar", "car"])[s],
+        "x": rng.normal(size=len(p)), "rating": c * s + rng.normal(size=8)[p] + rng.normal(size=len(p)),
+    })  # fmt: skip
+    made = analysis.linear_mixed(table, "rating ~ condition * scene + x", random="(1|participant)")
+    said = sentences(Result(Test("m", "linear_mixed"), made, "", 8))
+    f = {one["term"]: one for one in made.attrs["f_tests"]}["condition"]
+    assert said[0].startswith(f"m, condition: F(2, {f['df2']:.1f}) = {f['F']:.2f}, p")
+    b = made.set_index("term")["estimate"]
+    wanted = [
+        ("condition: slow − fast, at scene bar", "conditionslow"),
+        ("condition: slower − fast, at scene bar", "conditionslower"),
+        ("scene: car − bar, at condition fast", "scenecar"),
+        ("x", "x"),
+        ("condition: slow − fast × scene: car − bar", "conditionslow:scenecar"),
+    ]
+    for words, term in wanted:
+        assert sum(one.startswith(f"m, {words}: b = {b[term]:.2f},".replace("-", "−")) for one in said) == 1
+    plain = analysis.cumulative_link(table.assign(rating=np.digitize(table["rating"], [0, 1])), "rating ~ condition")
+    assert sentences(Result(Test("o", "cumulative_link"), plain, "", 8))[0].startswith("o, condition: slow − fast: b")
+
+
 def test_mcnemar_tells_counts_and_cochran_its_q() -> None:
     people = [f"p{i}" for i in range(9)]
     rows = [(p, "x", float(i < 7)) for i, p in enumerate(people)] + [
