@@ -42,8 +42,9 @@ def blend(
 ) -> tuple[dict[str, Any], Any]:
     """(what the sample makes of the cached values, alpha): Eq. 1, both caches, new ``rho`` and ``age`` included.
 
-    ``sample``: color, z and, where light is noisy, surface, albedo, light. ``cached``: shown or surface, albedo, light
-    and rho_light; rho and age. ``overwrite``: the fovea, marked pixels. ``shown`` is what the eye gets.
+    ``sample``: color, z and, as they are cached, shown or, where light is noisy, surface, albedo, light. ``cached``:
+    the same without color and z; rho, age and, where light has its own, rho_light. ``overwrite``: the fovea, marked
+    pixels. The resulting ``shown`` is what the eye gets.
     """
     overwrite = overwrite | ~depth_agrees(sample["z"], z_cache, p.eps_depth, far)
     alpha, rho = weights(cached["rho"], cached["age"], p.k_min, p.k_max, t_max, overwrite)
@@ -53,7 +54,8 @@ def blend(
 
     out = {"rho": rho, "age": mi.Float(0)}
     if "light" not in cached:
-        return out | {"shown": blended(cached["shown"], sample["color"], alpha)}, alpha
+        blend = dr.lerp(cached["shown"], sample["shown"], alpha)
+        return out | {"shown": dr.select(alpha >= 1, sample["color"], blend)}, alpha
     k = (p.light_k_min, p.light_k_max)
     if k == (p.k_min, p.k_max):  # the same recursion: both count the same samples
         alpha_light, out["rho_light"] = alpha, rho

@@ -80,6 +80,19 @@ def _from_support(grid: SupportGrid, layout: Layout, words: Any, lanes: Any, x: 
     return list(totals.values())
 
 
+def cacheable(sample: dict[str, Any], white: Any) -> dict[str, Any]:
+    """``shown``, or ``surface``, ``albedo`` and ``light``, so that what they show is no more than the display's
+    ``white``: a mean of colours beyond it would be white however few of them were bright."""
+    found = dict(sample)
+    for name in ("shown", "surface"):
+        if name in found:
+            found[name] = dr.minimum(found[name], white)
+    if "albedo" in found:  # light stays as it is: neighbours borrow it
+        left = dr.maximum(white - found["surface"], 0)
+        found["albedo"] = dr.minimum(found["albedo"], left * dr.rcp(dr.maximum(found["light"], LEAST)))
+    return found
+
+
 def carried_over(
     p: Foveated, grid: SupportGrid, layout: Layout, place: Any, index: Any, wanted: Any, old: Picture, samples: Samples,
     texel_lanes: Any, seed: Any,
@@ -140,37 +153,42 @@ def lends_light(info: Any) -> Any:
     return info >> 63 == 0
 
 
-def _picture(layout: Layout, values: dict[str, Any], overwrite: Any, alpha: Any, pixels: int) -> Picture:
+def _picture(layout: Layout, values: dict[str, Any], overwrite: Any, alpha: Any, white: Any, pixels: int) -> Picture:
     """What a frame leaves: a lane for each of the picture's pixels in scanline order."""
     shown, color = dr.empty(mi.Float, pixels * 4), values["shown"]
     dr.scatter(
         shown, mi.Vector4f(color.x, color.y, color.z, 0), dr.arange(mi.UInt32, pixels), mode=dr.ReduceMode.NoConflicts
     )
     age = values["age"]
-    if layout != "shown":  # background and what only glows hold no light
+    if layout == "shown":
+        values = values | {"shown": dr.minimum(color, white)}
+    else:  # background and what only glows hold no light
         age = dr.select(~overwrite & (values["rho"] > 0) & (dr.max(values["albedo"]) > LEAST), age, -age)
     info = float_pair(values["rho"], age)
     return Picture(shown, packed(layout, values), info, values.get("rho_light"), alpha)
 
 
-def _sample(layout: Layout, samples: Samples, lane: Any, active: Any) -> dict[str, Any]:
-    """``color`` and ``z`` of a lane's sample and, where light is cached by itself, the layout's `COLORS`."""
-    rg, bz = (floats(dr.gather(mi.UInt64, word, lane, active)) for word in samples.color)
-    found = {} if layout == "shown" else gathered(layout, samples.words, lane, active)
-    return found | {"color": mi.Color3f(*rg, bz[0]), "z": bz[1]}
+def _sample(layout: Layout, samples: Samples, lane: Any, white: Any) -> dict[str, Any]:
+    """``color`` and ``z`` of a lane's sample, and the layout's `COLORS` as they are cached."""
+    rg, bz = (floats(dr.gather(mi.UInt64, word, lane)) for word in samples.color)
+    color = mi.Color3f(*rg, bz[0])
+    found = {"shown": dr.minimum(color, white)} if layout == "shown" else gathered(layout, samples.words, lane)
+    return found | {"color": color, "z": bz[1]}
 
 
-def first_picture(layout: Layout, grid: SupportGrid, lane: Any, samples: Samples, own_light: bool) -> Picture:
+def first_picture(
+    layout: Layout, grid: SupportGrid, lane: Any, samples: Samples, white: Any, own_light: bool
+) -> Picture:
     """The samples alone, where there is no history: each is one of one. ``lane`` (a pixel each): its sample's."""
-    found = _sample(layout, samples, lane, True)
+    found = _sample(layout, samples, lane, white)
     one = dr.select(lane != NO_SAMPLE, mi.Float(1), 0)  # a lane each: results of one value would be one value wide
     info = {"shown": found["color"], "rho": one, "age": 1 - one} | ({"rho_light": one} if own_light else {})
-    return _picture(layout, found | info, mi.Bool(False), one, grid.width * grid.height)
+    return _picture(layout, found | info, mi.Bool(False), one, white, grid.width * grid.height)
 
 
 def compose(
     p: Foveated, grid: SupportGrid, layout: Layout, place: Any, depth: Any, slot: Any, samples: Samples,
-    texel_lanes: Any, old: Picture, to_world: Any, t_max: Any, seed: Any,
+    texel_lanes: Any, old: Picture, to_world: Any, t_max: Any, white: Any, seed: Any,
 ) -> Picture:  # fmt: skip
     """Every pixel: carried over, and blended with its sample where it has one.
 
@@ -185,13 +203,14 @@ def compose(
     z_cache, far = world_depth(depth, to_world), to_world * BACKGROUND
 
     def merged(
-        samples: Samples, slot: Any, overwrite: Any, z_cache: Any, far: Any, t_max: Any, values: dict[str, Any], _: Any
-    ) -> tuple[dict[str, Any], Any]:
-        sample = _sample(layout, samples, slot & (OVERWRITES - 1), True)
+        samples: Samples, slot: Any, overwrite: Any, z_cache: Any, far: Any, t_max: Any, white: Any,
+        values: dict[str, Any], _: Any,
+    ) -> tuple[dict[str, Any], Any]:  # fmt: skip
+        sample = _sample(layout, samples, slot & (OVERWRITES - 1), white)
         blended, alpha = blend(p, sample, values, overwrite, z_cache, far, t_max)
         return {name: blended[name] for name in values}, alpha
 
     # Packets without a sample jump over it.
-    inputs = (samples, slot, overwrite, z_cache, far, t_max, values, dr.zeros(mi.Float, pixels))
+    inputs = (samples, slot, overwrite, z_cache, far, t_max, white, values, dr.zeros(mi.Float, pixels))
     values, alpha = dr.if_stmt(inputs, traced, merged, lambda *inputs: inputs[-2:])
-    return _picture(layout, values, overwrite, alpha, pixels)
+    return _picture(layout, values, overwrite, alpha, white, pixels)

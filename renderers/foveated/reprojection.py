@@ -72,20 +72,21 @@ def look(
 ) -> Any:  # fmt: skip
     """The reprojected picture at support resolution: (world depth, luma, edge, 1 where there is something), packed.
 
-    Luma is that of the texel's mean colour, the coarse picture's filter: 3x3 taps of the last picture around its place
-    there. Background is as far as `BACKGROUND`, where window depth still resolves 1 %. ``mover`` of each vertex (None:
-    nothing moves): the mesh between vertices of different bodies is no surface, whatever their depths; edge is -1.
+    Luma is that of the texel's mean colour as it is displayed, the coarse picture's filter: 3x3 taps of the last
+    picture around its place there. Background is as far as `BACKGROUND`, where window depth still resolves 1 %.
+    ``mover`` of each vertex (None: nothing moves): the mesh between vertices of different bodies is no surface,
+    whatever their depths: edge is -1.
     """
     here = dr.gather(mi.Vector2f, place, texel_pixel)
     seen = was_seen(here, grid.width, grid.height)
     z = dr.minimum(world_depth(dr.gather(mi.Float, depth, texel_pixel), to_world), BACKGROUND * to_world)
     x, y = (mi.Int32(dr.clip(v, 0, 1e6)) for v in (here.x, here.y))  # clipped: nan is no integer
-    total = mi.Color3f(0)
+    total, white = mi.Color3f(0), 1 / exposure
     for oy in (-1, 0, 1):
         row = dr.clip(y + round(oy * grid.height / grid.rows / 3), 0, grid.height - 1) * grid.width
         for ox in (-1, 0, 1):
             column = dr.clip(x + round(ox * grid.width / grid.columns / 3), 0, grid.width - 1)
-            total += rgb(fetch(shown, mi.UInt32(row + column), seen))
+            total += dr.minimum(rgb(fetch(shown, mi.UInt32(row + column), seen)), white)
     luma = display_luma(total * (1 / 9), exposure)
     column = mi.UInt32(dr.clip(here.x * (grid.columns / grid.width), 0, grid.columns - 1))
     row = mi.UInt32(dr.clip(here.y * (grid.rows / grid.height), 0, grid.rows - 1))

@@ -21,7 +21,7 @@ from renderers.backend import dr, is_cuda, mi
 from renderers.eccentricity import EyePlane, eye_plane
 from renderers.engine import LARGEST, Engine, EngineState
 from renderers.eye_angles import pixel_eccentricity_deg, plane_values
-from renderers.foveated.compose import NO_SAMPLE, OVERWRITES, Picture, Samples, compose, first_picture
+from renderers.foveated.compose import NO_SAMPLE, OVERWRITES, Picture, Samples, cacheable, compose, first_picture
 from renderers.foveated.eyes import Eyes
 from renderers.foveated.mesh_blocks import SIZES, BlockMesh, blocks_of, flat_blocks
 from renderers.foveated.post_filter import filter_light
@@ -165,7 +165,7 @@ class Foveated:
         dr.eval(found)
         return found
 
-    def _trace(self, state: EngineState, pixel: Any, seed: Any) -> tuple[Samples, Any, Any]:
+    def _trace(self, state: EngineState, pixel: Any, white: Any, seed: Any) -> tuple[Samples, Any, Any]:
         """A sample a lane.
 
         Rays keep the coherent mode of full pictures, although 84 % of the pixels are missing: a ray costs 2.1
@@ -185,7 +185,8 @@ class Foveated:
                 value = getattr(got, name)
                 values[name] = dr.select(dr.isnan(value), 0, dr.clip(value, 0, LARGEST))
         normal = mi.Vector3f(got.normal_geometric)
-        samples = Samples(color, packed(self._layout, values), got.z, tuple(normal), got.mover)
+        words = packed(self._layout, cacheable(values, white))
+        samples = Samples(color, words, got.z, tuple(normal), got.mover)
         return samples, got.rays, got.clamped
 
     def _extract(
@@ -194,17 +195,17 @@ class Foveated:
         lane = dr.gather(mi.UInt32, texel_lanes, texel)
         return extract(self.engine, self.params.reproject_movers, state, x, y, lane, z, normal, mover)
 
-    def _first(self, lane: Any, samples: Samples) -> Picture:
-        return first_picture(self._layout, self.grid, lane, samples, self._own_light)
+    def _first(self, lane: Any, samples: Samples, white: Any) -> Picture:
+        return first_picture(self._layout, self.grid, lane, samples, white, self._own_light)
 
     def _compose(
         self, place: Any, depth: Any, slot: Any, samples: Samples, texel_lanes: Any, old: Picture, to_world: Any,
-        t_max: Any, seed: Any,
+        t_max: Any, white: Any, seed: Any,
     ) -> Picture:  # fmt: skip
-        taps = seed ^ _TAPS
         return compose(
-            self.params, self.grid, self._layout, place, depth, slot, samples, texel_lanes, old, to_world, t_max, taps
-        )
+            self.params, self.grid, self._layout, place, depth, slot, samples, texel_lanes, old, to_world, t_max, white,
+            seed ^ _TAPS,
+        )  # fmt: skip
 
     def _filter(self, pixels: Any, chosen: Any, marks: Any, seed: Any, picture: Picture) -> tuple[Any, Any, Any]:
         pixel = dr.gather(mi.UInt32, pixels, chosen)
@@ -227,6 +228,7 @@ class Foveated:
         with self._watch.frame():
             with stage("state"):
                 state = self.engine.state(view, self.size_px)
+                exposure, white = opaque_float(view.exposure), opaque_float(1 / view.exposure)
                 seed = frame_seed(self._seed, view.index)
                 self._see(view)
             old = self._picture
@@ -236,7 +238,6 @@ class Foveated:
                 with stage("raster"):
                     place, depth = self._rasteriser.draw(moved, self._blocks.indices(self._flat_of(moved)))
                 with stage("marks"):
-                    exposure = opaque_float(view.exposure)
                     mover = self._mesh[3] if self.engine.tracer.bodies and self.params.reproject_movers else None
                     looks = run["_look"](
                         texels, place, depth, old.shown, edge, mover, state.to_world, exposure, self._texel_pixel
@@ -251,7 +252,7 @@ class Foveated:
                     pixel, slot, texel_lanes = self._order, self._all_lanes, self._all_texel_lanes
                 lanes = dr.width(pixel)
             with stage("trace"):
-                samples, rays, clamped = run["_trace"](lanes, state, pixel, seed)
+                samples, rays, clamped = run["_trace"](lanes, state, pixel, white, seed)
             with stage("extract"):
                 self._mesh = run["_extract"](
                     vertices, state, *self._vertices, texel_lanes, samples.z, samples.normal, samples.mover
@@ -260,10 +261,10 @@ class Foveated:
                 if old is not None:
                     new = run["_compose"](
                         pixels, place, depth, slot, samples, texel_lanes, old, state.to_world,
-                        opaque_float(self.t_max(view)), seed,
+                        opaque_float(self.t_max(view)), white, seed,
                     )  # fmt: skip
                 else:
-                    new = run["_first"](pixels, slot, samples)
+                    new = run["_first"](pixels, slot, samples, white)
             if old is not None and self.noisy and self.params.post_filter:
                 with stage("post filter"):
                     # compressed outside of the recording: Dr.Jit 1.5 aborts where a recorded result has no lanes

@@ -77,7 +77,7 @@ def test_the_number_of_samples_settles_at_its_fixed_point(k: float) -> None:
 def merged(*, overwrite: bool = False, rho: float = 4.0, z_cache: float = 10.0, z: float = 10.0) -> tuple[float, ...]:
     """A sample of 1 against a cached 0: what is shown, alpha, rho, age."""
     cached = {"shown": mi.Color3f(0.0), "rho": mi.Float(rho), "age": mi.Float(1)}
-    sample = {"color": mi.Color3f(1.0), "z": mi.Float(z)}
+    sample = {"color": mi.Color3f(1.0), "shown": mi.Color3f(1.0), "z": mi.Float(z)}
     settings, far = Foveated(k_min=0.05), mi.Float(1e4)
     out, alpha = blend(settings, sample, cached, mi.Bool(overwrite), mi.Float(z_cache), far, mi.Float(16))
     return out["shown"].x[0], alpha[0], out["rho"][0], out["age"][0]
