@@ -40,16 +40,19 @@ def table_block(
     note: str = "",
 ) -> Block:
     """A table. ``columns``: (column, heading, format of `written`); columns that ``table`` lacks are left out, and so
-    are status and note where every row is ok. The JSON keeps every column of ``table``."""
-    shown = [(key, label, form) for key, label, form in columns if key in table]
-    if "status" in table and (table["status"].astype(str) != "ok").any():
-        shown += [("status", "status", "text"), ("note", "note", "text")]
+    is status where every row is ok. The JSON keeps every column of ``table``. ``row_notes``: the rows' notes are
+    shown, each under its row and never as a column."""
+    shown = [(key, label, form) for key, label, form in columns if key in table and key != "note"]
+    not_ok = "status" in table and bool((table["status"].astype(str) != "ok").any())
+    if not_ok:
+        shown.append(("status", "status", "text"))
     return {
         "type": "table",
         "id": identity,
         "caption": caption,
         "columns": [{"key": key, "label": label, "format": form} for key, label, form in dict.fromkeys(shown)],
         "rows": [plain(row) for row in table.to_dict("records")],
+        "row_notes": not_ok and "note" in table,
         "note": note,
     }
 

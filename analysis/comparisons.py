@@ -10,6 +10,7 @@ import pandas as pd
 
 from analysis import adjust_p, binomial_choice
 from analysis.rows import rows_of_table
+from protocols.study import varied_value
 from protocols.trial import is_right
 
 POOLED = "pooled, not for inference"
@@ -32,12 +33,14 @@ def with_winner(table: pd.DataFrame, question: str | None = None) -> pd.DataFram
 
 def adaptive_level(conditions: str) -> float:
     """The value at which an adaptive trial's test stood ('full|less@400' -> 400); nan for other trials."""
-    parts = [one.partition("@") for one in str(conditions).split("|")]
-    values = [value for _, mark, value in parts if mark]
-    try:
-        return float(values[0]) if len(parts) == 2 and len(values) == 1 else np.nan
-    except ValueError:
-        return np.nan
+    members = str(conditions).split("|")
+    values = [value for value in map(varied_value, members) if value is not None]
+    return values[0] if len(members) == 2 and len(values) == 1 else np.nan
+
+
+def is_varied(condition: str) -> bool:
+    """Whether a condition is an adaptive block's test at one of its values."""
+    return varied_value(condition) is not None
 
 
 def right_answers(table: pd.DataFrame) -> pd.DataFrame:
@@ -45,10 +48,11 @@ def right_answers(table: pd.DataFrame) -> pd.DataFrame:
     known = table["correct"].notna()
     adaptive = ~known & table["winner"].notna() & table["condition"].map(adaptive_level).notna()
     own = table[known | adaptive].copy()
-    own["right"] = [
-        float(is_right(str(one.correct), str(one.side), str(one.response)) if known[i] else "@" not in str(one.winner))
+    right = [
+        is_right(str(one.correct), str(one.side), str(one.response)) if known[i] else not is_varied(str(one.winner))
         for i, one in zip(own.index, rows_of_table(own), strict=True)
     ]
+    own["right"] = np.array(right, dtype=float)
     return own
 
 

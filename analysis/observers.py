@@ -21,7 +21,8 @@ def circular_triads(table: pd.DataFrame, winner: str, loser: str, observer: str)
 
     ``consistency`` is Kendall & Babington Smith's (1940) zeta where all pairs were judged, 1 - circular / triads judged
     relative to the most possible; ``p`` that choices at random have at most so many: exact for 5 to 7 items, by their
-    chi-square for more.
+    chi-square for more. Nothing is tested, and the row is ``undefined``, where not every pair was judged or there are
+    fewer than 5 items (with 4 even no circle at all is no evidence: p is .375).
     """
     require_columns("circular_triads", table, [winner, loser, observer])
     person, observers = coded(table, observer)
@@ -46,13 +47,30 @@ def circular_triads(table: pd.DataFrame, winner: str, loser: str, observer: str)
             row |= {"consistency": math.nan, "p": math.nan, "status": UNDEFINED, "note": "no triad was judged whole"}
         else:
             row["consistency"] = 1 - circular / most * math.comb(k, 3) / judged
-            row["p"] = _random_choice_p(circular, k) if judged == math.comb(k, 3) and k > 4 else 1.0
-            row["note"] = "" if k > 4 and judged == math.comb(k, 3) else "too few triads to test: p is 1"
-            row["status"] = OK
+            tested = k > 4 and judged == math.comb(k, 3)
+            row["p"] = _random_choice_p(circular, k) if tested else math.nan
+            row["status"] = OK if tested else UNDEFINED
+            row["note"] = "" if tested else "no test: not every pair was judged, or fewer than 5 items"
         rows.append(row)
     columns = ["observer", "circular", "judged", "items", "consistency", "p"]
     method = "Circular triads by observer (Kendall & Babington Smith 1940), majority over repetitions."
     return result_table(rows, columns, method=method, n_subjects=len(observers))
+
+
+def triads_by_block(kept: pd.DataFrame) -> pd.DataFrame:
+    """`circular_triads` of each block (column ``block`` first) of comparison trials with ``winner`` and ``loser``.
+
+    Blocks ask different questions, whose answers form no triad together. Blocks of fewer than three conditions and
+    participants without a whole triad are left out.
+    """
+    tables = []
+    for block, own in kept.groupby("block", sort=False):
+        if len(set(own["winner"]) | set(own["loser"])) < 3:
+            continue
+        table = circular_triads(own, winner="winner", loser="loser", observer="participant")
+        table.insert(0, "block", str(block))
+        tables.append(table[table["judged"] > 0])
+    return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
 
 
 def _random_choice_p(circular: int, k: int) -> float:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import platform
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
@@ -24,7 +23,7 @@ from analysis.exclusions import Exclusions, apply_exclusions, exclusion_lock, ru
 from analysis.gaze import gaze_report
 from analysis.manipulation import luminance_differences, manipulation_checks
 from analysis.matching import match_checks, unmatched_comparisons
-from analysis.observers import circular_triads
+from analysis.observers import triads_by_block
 from analysis.plan import plan_of, run_plan, with_scenes
 from analysis.plots import draw
 from analysis.protocol_facts import title_of
@@ -79,7 +78,11 @@ def analyse(
         found = [preference, ratings, planned]
         shown = checks, luminance_differences(sessions), match_checks(sessions)
         found += [sections.manipulation_section(*shown, unmatched=unmatched_comparisons(sessions))]
-        found += [sections.quality_section(response_effects(kept, sessions), _triads(kept), exclusions.table)]
+        found += [
+            sections.quality_section(
+                response_effects(kept, sessions), triads_by_block(with_winner(kept)), exclusions.table
+            )
+        ]
     onset = onset_statement(sessions)
     first = sections.participants_section(exclusions, sessions)
     whole = [first, *found, sections.timing_section(timing, onset, sessions), sections.gaze_section(gaze)]
@@ -98,26 +101,6 @@ def analyse(
         "exclusion_lock": exclusion_lock(exclusions, lock_sessions),
     }
     return json.loads(json.dumps(plain(results_json), allow_nan=False))
-
-
-def _triads(kept: pd.DataFrame) -> pd.DataFrame:
-    """Of each block: blocks ask different questions, whose answers form no triad together. Participants without a whole
-    triad are left out, and so is the p of a test that was not made."""
-    chosen = with_winner(kept)
-    tables = []
-    for block, own in chosen.groupby("block", sort=False):
-        if len(set(own["winner"]) | set(own["loser"])) < 3:
-            continue
-        table = circular_triads(own, winner="winner", loser="loser", observer="participant")
-        whole = (table["items"] > 4) & (table["judged"] == table["items"].map(lambda k: math.comb(int(k), 3)))
-        table = table.assign(p=table["p"].where(whole))
-        table.loc[~whole, ["status", "note"]] = [
-            "undefined",
-            "no test: not every pair was judged, or fewer than 5 items",
-        ]
-        table.insert(0, "block", str(block))
-        tables.append(table[table["judged"] > 0])
-    return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
 
 
 def _glance(exclusions: Exclusions, timing: Timing) -> list[dict[str, str]]:

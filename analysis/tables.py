@@ -41,7 +41,7 @@ def to_latex(block: Mapping[str, Any], simulated: bool) -> str:
 
     A row's note stands under it, as on the page.
     """
-    columns = [column for column in block["columns"] if column["key"] != "note"]
+    columns = block["columns"]
     shape = "".join("l" if column["format"] == "text" else "r" for column in columns)
     caption = ("SIMULATED, no person answered. " if simulated else "") + block["caption"]
     lines = [
@@ -56,7 +56,7 @@ def to_latex(block: Mapping[str, Any], simulated: bool) -> str:
     for row in block["rows"]:
         cells = [latex_text(written(row.get(column["key"]), column["format"])) for column in columns]
         lines.append(" & ".join(cells) + r" \\")
-        if len(columns) < len(block["columns"]) and row.get("note"):
+        if block["row_notes"] and row.get("note"):
             said = rf"\footnotesize {latex_text(row['note'])}"
             lines.append(rf"\multicolumn{{{len(columns)}}}{{p{{\linewidth}}}}{{{said}}} \\")
     lines += [r"\bottomrule", r"\end{tabular}"]

@@ -37,8 +37,18 @@ class Replication(Model):
 
 
 def varied_name(test: str, value: float) -> str:
-    """The name of an adaptive block's test condition at ``value``."""
-    return f"{test}@{value:g}"
+    """The name of an adaptive block's test condition at ``value``, all its digits; `varied_value` reads it."""
+    short = f"{value:g}"
+    return f"{test}@{short if float(short) == value else repr(float(value))}"
+
+
+def varied_value(condition: str) -> float | None:
+    """The value that stands in a name made by `varied_name`; None in the name of any other condition."""
+    _, mark, value = condition.partition("@")
+    try:
+        return float(value) if mark else None
+    except ValueError:
+        return None
 
 
 class Study(Model):

@@ -9,8 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
+from analysis.blocks import table_block
 from analysis.report import analyse, render_html
 from analysis.tables import to_latex
 from tests.analysis.fabricate import DEMO_CONDITIONS, demo_study
@@ -107,7 +109,7 @@ def test_every_number_in_a_table_of_the_page_is_that_of_the_json(results: dict[s
     cells = shown_cells(page)
     checked = 0
     for table in blocks(results, "table"):
-        columns = [column for column in table["columns"] if column["key"] != "note"]  # it stands under its row
+        columns = table["columns"]
         for row, texts in zip(table["rows"], cells[table["id"]], strict=False):
             for column, text in zip(columns, texts, strict=True):
                 value = row[column["key"]]
@@ -124,19 +126,19 @@ def test_every_number_in_a_table_of_the_page_is_that_of_the_json(results: dict[s
 
 def test_a_note_stands_under_its_row() -> None:
     rows = [{"effect": "a", "p": 0.01, "note": ""}, {"effect": "b", "p": 0.02, "note": "p is <right>"}]
-    columns = [{"key": key, "label": key, "format": form} for key, form in (("effect", "text"), ("p", "p"))]
-    columns.append({"key": "note", "label": "note", "format": "text"})
-    table = {"type": "table", "id": "t", "caption": "t", "columns": columns, "rows": rows, "note": ""}
+    columns = [("effect", "effect", "text"), ("p", "p", "p"), ("note", "note", "text")]
+    made = pd.DataFrame(rows).assign(status=["ok", "boundary"])
+    assert not table_block("t", "t", made.iloc[:1], columns)["row_notes"]
+    table = table_block("t", "t", made, columns)
     head = {"title": "t", "study": "s", "simulated": False, "blind": False, "glance": [], "observer_kind": "person"}
     page = render_html({**head, "format": 1, "sections": [{"id": "x", "title": "x", "blocks": [table]}]})
-    assert shown_cells(page)["t"] == [["a", ".010"], ["b", ".020"]]
-    under = re.findall(r'<tr class="under"><td class="text" colspan="2">(.*?)</td></tr>', page)
+    assert shown_cells(page)["t"] == [["a", ".010", "ok"], ["b", ".020", "boundary"]]
+    under = re.findall(r'<tr class="under"><td class="text" colspan="3">(.*?)</td></tr>', page)
     assert under == ["p is &lt;right&gt;"]
     lines = to_latex(table, simulated=False).splitlines()
-    assert r"effect & p \\" in lines
-    assert (
-        lines[lines.index(r"b & .020 \\") + 1] == r"\multicolumn{2}{p{\linewidth}}{\footnotesize p is $<$right$>$} \\"
-    )
+    assert r"effect & p & status \\" in lines
+    under = lines[lines.index(r"b & .020 & boundary \\") + 1]
+    assert under == r"\multicolumn{3}{p{\linewidth}}{\footnotesize p is $<$right$>$} \\"
     assert sum("multicolumn" in line for line in lines) == 1
 
 

@@ -14,12 +14,12 @@ from analysis.answer_sections import likert_section
 from analysis.comparisons import adaptive_level
 from analysis.exclusions import apply_exclusions
 from analysis.matching import unmatched_comparisons
-from analysis.observers import circular_triads
+from analysis.observers import circular_triads, triads_by_block
 from analysis.plan_tests import RUNNERS
 from analysis.planned_test import Plan, Test
 from analysis.quality import response_effects
 from analysis.r_script import r_script
-from analysis.report import _triads, analyse
+from analysis.report import analyse
 from analysis.sections import design_blocks, participants_section
 from analysis.sessions import Session, combine, read_sessions
 from tests.analysis.fabricate import demo_study
@@ -53,7 +53,7 @@ def test_triads_of_one_block_know_nothing_of_another() -> None:
     rows = [("p", "one", "a", "b"), ("p", "one", "b", "c"), ("p", "two", "c", "a")]
     rows += [("p", "two", "c", "d"), ("q", "one", "a", "b"), ("q", "one", "b", "c"), ("q", "one", "a", "c")]
     kept = pd.DataFrame(rows, columns=["participant", "block", "winner", "loser"])
-    found = _triads(kept)
+    found = triads_by_block(kept)
     assert found[["block", "observer", "circular", "judged"]].to_numpy().tolist() == [["one", "q", 0, 1]]
     assert found["p"].isna().all()  # three conditions: nothing is tested, and the row says so
     assert (found["status"] == "undefined").all()

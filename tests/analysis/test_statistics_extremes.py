@@ -33,7 +33,7 @@ binomial_mixed          o   s   s   n   t   b   ou  s   o   s   o   ob  u   u
 bradley_terry           o   s   o   o   o   o   u   o   o   s   o   o   u   u
 bradley_terry_observers o   s   o   o   t   o   u   o   o   s   o   o   u   u
 thurstone               o   s   o   o   t   o   u   o   o   s   o   o   u   u
-circular_triads         ou  u   ou  ou  u   ou  u   ou  ou  o   ou  ou  u   u
+circular_triads         u   u   u   u   u   u   u   u   u   u   u   u   u   u
 screen_observers        o   o   o   o   o   o   u   o   o   o   o   o   u   u
 cumulative_link         o   u   o   o   s   o   ou  o   o   s   u   o   u   u
 cumulative_link_mixed   o   u   n   n   t   b   ou  o   o   s   u   o   u   u

@@ -12,6 +12,7 @@ from protocols.adaptive import PairResult, QuestResult, StaircaseResult, active_
 from protocols.design import plan
 from protocols.observer import answer, draw_observer, trial_stream
 from protocols.requests import clip_spec, clip_specs
+from protocols.study import varied_name, varied_value
 from tests.protocols.tiny import pairs, rating, tiny
 
 
@@ -158,3 +159,10 @@ def test_an_adaptive_block_varies_the_parameter_and_shows_only_known_clips(kind:
     assert {p.params["spp"] for t in varied for p in t.panels if p.technique == "reference"} <= {1, 2, 4, 8, 16}
     assert len({p.condition for t in varied for p in t.panels}) > 2
     assert {clip_spec(study, t, p) for t in varied for p in t.panels} <= set(clip_specs(study))
+
+
+@pytest.mark.parametrize("value", [400.0, 0.1, 1.6e6, 1234567.0, 1 / 3, -2.5, 0.0, 1e-7, 5e-324])
+def test_a_varied_conditions_name_gives_its_value_back(value: float) -> None:
+    assert varied_value(varied_name("less", value)) == value
+    assert (varied_value("less"), varied_value("less@"), varied_value("less@x")) == (None, None, None)
+    assert varied_name("less", 1234567.0) != varied_name("less", 1234568.0)
