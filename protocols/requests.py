@@ -76,6 +76,10 @@ def clip_spec(study: Study, trial: Trial, shown: Panel) -> ClipSpec:
     width, height = (int(side) for side in settings["size_px"])
     entry = CATALOGUE.get(shown.technique)
     follows = entry is not None and entry.gaze_contingent
+    # The target is an object of the scene, whoever renders it; side by side there is no single one to follow.
+    alone = len(trial.panels) == 1 or trial.kind == "two_interval"
+    moving = trial.fixation == "moving" and entry is not None and (follows or alone)
+    gaze = "moving" if moving else (0.0, 0.0) if follows else None
     geometry = None
     if follows and study.display.geometry == "screen":
         geometry = (*study.display.panel_m((width, height)), study.display.distance_m, 0.0, 0.0)
@@ -89,8 +93,7 @@ def clip_spec(study: Study, trial: Trial, shown: Panel) -> ClipSpec:
         duration_s=str(settings["duration_s"]), start_s=str(settings["start_s"]), warm_up_s=str(settings["warm_up_s"]),
         path=trial.path, path_keys=keys, animation=settings.get("animation"), lighting=str(settings["lighting"]),
         loop=str(settings["loop"]), seed=study.seed, geometry=geometry,
-        gaze=(trial.fixation if trial.fixation == "moving" else (0.0, 0.0)) if follows else None,
-        exposure=scene.exposure, live=shown.live, channels=tuple(dict.fromkeys(channels)),
+        gaze=gaze, exposure=scene.exposure, live=shown.live, channels=tuple(dict.fromkeys(channels)),
         reference_error=None if own is None else own.reference_error,
     )  # fmt: skip
 

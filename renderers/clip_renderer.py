@@ -7,6 +7,7 @@ follows on the last frame.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 from collections.abc import Iterator, Mapping
@@ -71,10 +72,15 @@ def scene_and_camera(job: ClipJob) -> tuple[Scene, CameraPath]:
     else:
         camera = camera_path(scene, request.path if request.path in PATH_NAMES else job.path_file or request.path)
     if request.gaze == "moving":
-        scene = with_fixation_target(
-            scene, camera, float(Fraction(request.start_s)), float(Fraction(request.duration_s))
-        )
+        times = (float(Fraction(request.start_s)), float(Fraction(request.duration_s)))
+        scene = with_fixation_target(scene, camera, *times, path_seed(request))
     return closed_loop(scene, camera, request) if request.loop == "closed" else (scene, camera)
+
+
+def path_seed(request: ClipRequest) -> int:
+    """The seed of a moving target's path: of the study's seed, the scene and the condition."""
+    told = [request.seed, request.scene_sha256, request.technique, dict(request.params)]
+    return int.from_bytes(hashlib.sha256(json.dumps(told, sort_keys=True).encode()).digest()[:8])
 
 
 def warm_up_frames(request: ClipRequest) -> int:
@@ -172,7 +178,7 @@ class ClipRenderer:
         times = (request.start_s, request.duration_s, request.rate_hz) if follows or closed else None
         key = (
             job.scene_file, request.scene_sha256, request.animation, request.path, job.path_keys, request.lighting,
-            request.loop, follows, times,
+            request.loop, times, path_seed(request) if follows else None,
         )  # fmt: skip
         if self._held is None or key != self._key:
             scene, camera = scene_and_camera(job)

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, field
 from fractions import Fraction
 from typing import Any
 
-ENGINE_VERSION = 4
+ENGINE_VERSION = 5
 """Raised by hand whenever the same request would give other pixels."""
 
 PATH_NAMES = ("file", "still", "sway", "toycar", "interactive")
@@ -28,7 +28,8 @@ class ClipRequest:
 
     ``scene`` is a name or path for people; ``scene_sha256`` is its content. ``rate_hz``, ``start_s``, ``duration_s``
     and ``warm_up_s`` are exact rationals as text ('240', '60000/1001'). ``params`` are complete (defaults filled in).
-    ``geometry`` and ``gaze`` are None where the technique does not use them. ``loop``: once | closed.
+    ``geometry`` and ``gaze`` are None where the technique does not use them; ``gaze`` 'moving' also puts a target into
+    the scene. ``loop``: once | closed.
     """
 
     scene: str

@@ -69,6 +69,8 @@ class LiveSources:
         if source is None:
             raise InputError(problem(f"scene {spec.scene}", "source", repr(spec.source), "a scene that can be found"))
         key = (str(source), spec.animation, spec.path + spec.path_keys + spec.lighting)
+        if spec.gaze == "moving":  # the scene has the target of this condition
+            key = (*key[:2], f"{key[2]} {spec.technique} {spec.params} {spec.start_s} {spec.duration_s}")
         if key not in self._engines:
             content = load_scene(str(source), animation=spec.animation).sha256
             path_file = str(self._beside / spec.path) if spec.path not in PATH_NAMES and not spec.path_keys else ""

@@ -91,3 +91,21 @@ def test_panels_that_do_not_fit_on_the_display_are_named() -> None:
     ((loc, *said),) = size_problems(study)
     assert loc == ("blocks", 0)
     assert said == ["block pairs: panels", "1568x512 px", "at most 1500x1080 px (display.size_px)"]
+
+
+def test_every_technique_shows_the_moving_target_but_side_by_side() -> None:
+    study = tiny(
+        conditions={"gold": "reference", "fov": "foveated", "plain": "vanilla", "taa": "taa"},
+        defaults={"fixation": "moving"},
+        blocks=[
+            rating(factors={"scene": ["a"], "condition": ["fov", "plain"]}),
+            pairs(reference="gold", compare={"of": ["plain", "taa"]}, factors={"scene": ["a"]}),
+        ],
+    )
+    gazes = {
+        (trial.block, panel.condition): clip_spec(study, trial, panel).gaze
+        for trial in plan(study, 1)
+        for panel in trial.panels
+    }
+    assert gazes["rating", "fov"] == gazes["rating", "plain"] == "moving"
+    assert {gaze for (block, _), gaze in gazes.items() if block == "pairs"} == {None}

@@ -11,7 +11,7 @@ import pytest
 
 import renderers.units
 from renderers import render_clip
-from renderers.clip_renderer import ClipRenderer, gaze_of, keyed_camera, view_of, warm_up_frames
+from renderers.clip_renderer import ClipRenderer, gaze_of, keyed_camera, path_seed, view_of, warm_up_frames
 from renderers.loops import closed_loop
 from renderers.produce import produce, units_of
 from renderers.units import Unit
@@ -82,8 +82,10 @@ def test_the_fixation_target_is_in_the_clips_that_ask_for_it_alone(scene, before
     renderer = ClipRenderer(None)
     fixed, moving = (job(scene, "foveated", 2, gaze=gaze, **size) for gaze in ((0.0, 0.0), "moving"))
     later = job(scene, "foveated", 2, gaze="moving", start_s="2", **size)  # the scene is nearest at another place
+    small = job(scene, "foveated", 2, gaze="moving", params={"configuration": "small"}, **size)
+    assert len({path_seed(asked.request) for asked in (moving, later, small)}) == 2
     list(renderer.frames(job(scene, "foveated", 2, gaze=before, **size), Unit(0, 2)))
-    for asked in (fixed, moving, fixed, later, moving):
+    for asked in (fixed, moving, fixed, later, small, moving):
         frame = next(iter(renderer.frames(asked, Unit(0, 2)))).blocks[0]
         alone = next(iter(ClipRenderer(None).frames(asked, Unit(0, 2)))).blocks[0]
         np.testing.assert_array_equal(frame, alone)

@@ -16,13 +16,16 @@ from protocols.design import plan
 from protocols.load import load_study
 from protocols.records import FLIP_DTYPE, GAZE_DTYPE, TARGET_DTYPE
 from renderers import clip_renderer
+from stimuli.clip import ClipStore
 from stimuli.errors import InputError
 from stimuli.load import load_scene
 from stimuli.scene import Mover, StillCamera, StillTrack
 from studyapp.gaze.angles import ScreenGeometry
+from studyapp.live_sources import LiveSources
 from studyapp.present.layout import PanelRect
 from studyapp.target_path import TargetPaths, path_on_screen
 from tests.analysis.fabricate import Model, likert_plan, write_session
+from tests.protocols.tiny import rating, tiny
 from tests.studyapp.tiny_study import TINY
 
 SCREEN = ScreenGeometry(0.5, 0.25, 0.6, (400, 200))
@@ -154,3 +157,24 @@ def test_the_report_gives_the_distance_to_a_moving_target(tmp_path: Path) -> Non
     db.close()
     with pytest.raises(InputError, match="target path"):
         target_paths(sessions[0])
+
+
+def test_a_live_panel_has_the_target_of_its_own_condition(tmp_path: Path) -> None:
+    """One session: fixed, then moving in two configurations, then fixed again, all live and of one scene and path."""
+    conditions = {
+        name: {"technique": "foveated", "live": True, "params": {"configuration": name}} for name in ("small", "large")
+    }
+    factors = {"condition": ["small", "large"], "fixation": {name: {"fixation": name} for name in ("fixed", "moving")}}
+    study = tiny(
+        scenes={"a": {"scene": "tunnel_geom", "exposure": 1.0}}, conditions=conditions,
+        blocks=[rating(factors={"scene": ["a"], **factors})], defaults={"size_px": [48, 32], "warm_up_s": 0},
+    )  # fmt: skip
+    sources = LiveSources(study, tmp_path, ClipStore(tmp_path / "clips"), None)
+    targets = {}
+    for trial in sorted((t for t in plan(study, 1) if t.panels), key=lambda t: t.fixation):
+        panel = trial.panels[0]
+        made = sources.source(trial, panel.slot)
+        targets[trial.fixation, panel.condition] = made._technique.engine.scene.fixation_target
+    assert targets["fixed", "small"] is targets["fixed", "large"] is None
+    paths = [targets["moving", name].track.path.corners for name in ("small", "large")]
+    assert not np.array_equal(*paths)
