@@ -24,6 +24,7 @@ from analysis.coefficient_tests import (
     usual_test,
 )
 from analysis.formula import ModelFrame, independent_columns, model_frame
+from analysis.joint_scores import joint_tests
 from analysis.log_tails import log10_z, p_z
 from analysis.results import (
     BOUNDARY,
@@ -62,7 +63,8 @@ def cumulative_link(
     of 0 makes rows ``boundary`` (the numbers are those of the model without it). Complete or quasi-complete
     separation is found before fitting by linear programming. ``test``: p and interval of the terms as in
     ``binomial_mixed`` (None: the usual one); 'wald', the default, is what ordinal's clm and clmm print, and too liberal
-    where participants differ in the effect itself. Raises InputError for unknown columns or formulas.
+    where participants differ in the effect itself. With 'participants' also f_tests [{term, df1, df2, F, p, log10_p}]:
+    all coefficients of a term together (`analysis.joint_scores`). Raises InputError for unknown columns or formulas.
     """
     one_of("cumulative_link", "link", link, LINKS)
     one_of("cumulative_link", "test", test, (None, *TESTS))
@@ -195,6 +197,7 @@ def _fit(
     rows = [_row(label, fit, k, status, note) for k, label in enumerate(labels)]
     if test != WALD:
         put_tests(model, fit, rows, test)
+    together = joint_tests(frame, model, fit, labels) if test == PARTICIPANTS and fit.converged else []
     rows += _aliased_rows(aliased, "is a linear combination of other terms")
     rows += _aliased_rows(frame.empty, "has one level")
     count = len(labels) + len(random_sd)
@@ -206,6 +209,7 @@ def _fit(
         "random_sd": random_sd,
         "covariance": fit.covariance.tolist(),
         "test": test,
+        "f_tests": together,
         **({"random_sd_se": fit.sd_se} if model.one_intercept else {}),
     }
     method = f"{what}; {_random_text(frame)}; {model.method}; {_HOW_TESTED[test]}."
@@ -216,7 +220,7 @@ def _fit(
 
 _HOW_TESTED = {
     PARTICIPANTS: "terms are tested by the score with the participant as the unit (t), and intervals hold what that "
-    "test does not reject",
+    "test does not reject; the coefficients of a term together by the same test (F), over the levels of other factors",
     LIKELIHOOD_RATIO: "terms are tested by the likelihood ratio, with profile-likelihood intervals",
     WALD: "Wald tests and intervals",
 }

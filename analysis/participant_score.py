@@ -18,7 +18,7 @@ expected one 5.0 to 7.4 % at coefficients of 1 and 2 logits, where this rejects 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -79,6 +79,10 @@ def rejected_from(statistic: Callable[[float], float], estimate: float, step: fl
     return math.copysign(math.inf, step)
 
 
+Maximum = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""(phi, sd), and the participants' scores and the information there."""
+
+
 class ParticipantScore:
     """Score tests of single coefficients; keeps the last maximum as the next start."""
 
@@ -127,18 +131,14 @@ class ParticipantScore:
 
     def statistic(self, k: int, value: float) -> float:
         """t of the participants' contributions to the score at ``value``; positive where the estimate is larger."""
-        found = constrained(self.quadrature, self._start_at(k, value), k, value, self.ordered)
+        found = constrained(self.quadrature, self._start_at(k, value), [k], [value], self.ordered)
         if found is None:
             return math.nan
-        theta, scores, information = found
-        self.start = theta
-        own, rest = scores[:, k], [j for j in range(len(theta) - 1) if j != k]
-        if rest:
-            # what the other coefficients take up of the score is theirs; the SD is held (see above)
-            taken = np.linalg.lstsq(information[np.ix_(rest, rest)], information[rest, k])[0]
-            own = own - scores[:, rest] @ taken
-            self.along = np.zeros(len(theta) - 1)
-            self.along[rest] = -taken
+        self.start = found[0]
+        contributions, rest, taken = _own_scores(found, [k])
+        self.along = np.zeros(len(self.along))
+        self.along[rest] = -taken[:, 0]
+        own = contributions[:, 0]
         n, df = len(own), self.df(k)
         total, squares = float(own.sum()), float(own @ own)
         if not squares > 0:
@@ -146,16 +146,41 @@ class ParticipantScore:
         left = n - total**2 / squares
         return math.copysign(math.inf if left <= 1e-12 * n else math.sqrt(df / left / squares) * abs(total), total)
 
+    def joint(self, index: Sequence[int]) -> tuple[float, int, int] | None:
+        """(F, df1, df2) of coefficients ``index`` against 0 together, None where participants are too few or the search
+        does not end. F is T^2 = S' (sum of s s')^-1 S as Hotelling's: df2 T^2 / (df1 (n - T^2)); df2 = n - df1, or what
+        terms between participants leave. One coefficient: t^2."""
+        n, df1 = len(self.quadrature.starts), len(index)
+        df2 = self.df(index[0]) if self.between[list(index)].all() else n - df1
+        found = constrained(self.quadrature, self.best, index, [0.0] * df1, self.ordered) if df2 >= 1 else None
+        if found is None:
+            return None
+        own, _, _ = _own_scores(found, index)
+        total = own.sum(axis=0)
+        t2 = float(total @ np.linalg.lstsq(own.T @ own, total)[0])
+        left = n - t2
+        return (math.inf if left <= 1e-12 * n else df2 * t2 / (df1 * left)), df1, df2
 
-Maximum = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""(phi, sd), and the participants' scores and the information there."""
+
+def _own_scores(found: Maximum, index: Sequence[int]) -> tuple[np.ndarray, list[int], np.ndarray]:
+    """The participants' scores of the coefficients ``index`` without what the other coefficients take up of them (the
+    SD is held, see above); the others, and what of each they take."""
+    theta, scores, information = found
+    rest = [j for j in range(len(theta) - 1) if j not in set(index)]
+    if not rest:
+        return scores[:, list(index)], rest, np.zeros((0, len(index)))
+    taken = np.linalg.lstsq(information[np.ix_(rest, rest)], information[np.ix_(rest, list(index))])[0]
+    return scores[:, list(index)] - scores[:, rest] @ taken, rest, taken
 
 
-def constrained(quadrature: Quadrature, start: np.ndarray, k: int, value: float, ordered: int) -> Maximum | None:
-    """The largest likelihood with phi[k] = ``value`` and sd up to ``MAX_SD``; None where the search does not end."""
+def constrained(
+    quadrature: Quadrature, start: np.ndarray, index: Sequence[int], values: Sequence[float], ordered: int
+) -> Maximum | None:
+    """The largest likelihood with phi[index] = ``values`` and sd up to ``MAX_SD``; None where the search does not
+    end."""
     theta = start.copy()
-    theta[k] = value
-    free = [j for j in range(len(theta) - 1) if j != k]
+    theta[list(index)] = values
+    free = [j for j in range(len(theta) - 1) if j not in set(index)]
     if theta[-1] == 0:
         found = _climbed(quadrature, theta, free, ordered)
         # at SD 0 the likelihood is level in it: its curvature says whether more is better
@@ -219,4 +244,4 @@ def _constant_in_groups(bounds: Bounds, groups: np.ndarray) -> np.ndarray:
     order = np.argsort(groups, kind="stable")
     starts = np.flatnonzero(np.diff(groups[order], prepend=-1))
     low, high = np.minimum.reduceat(x[order], starts), np.maximum.reduceat(x[order], starts)
-    return np.asarray((low == high).all(axis=0))
+    return np.asarray((high - low <= 1e-9 * np.abs(x).max(axis=0)).all(axis=0))

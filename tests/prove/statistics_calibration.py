@@ -158,10 +158,13 @@ def _cumulative(t: pd.DataFrame) -> dict[str, float]:
     two = t[t["technique"] != "t2"]
     made = analysis.cumulative_link(two, "rating ~ technique", random="participant", test="participants")
     row = int(np.flatnonzero(made["term"] == "techniquet1")[0])
+    three = analysis.cumulative_link(t, "rating ~ technique", random="participant", test="participants")
+    together = pd.DataFrame(three.attrs["f_tests"] or [{"p": math.nan}])
     wald = special.chdtrc(1, float(made["z"].iloc[row]) ** 2)
     return {
         "cumulative_link p": _hit(made, row),
         "cumulative_link interval": _missed(made, row, "ci_low", "ci_high"),
+        "cumulative_link term of two coefficients p": _hit(together),
         # what clmm prints: right only where participants do not differ in the effect
         "(cumulative_link Wald, not ours) p": float(wald < 0.05),
     }
