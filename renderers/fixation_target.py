@@ -26,7 +26,7 @@ SIZE_DEG = 0.6
 NEARNESS = 0.8
 _LEAST_LEG = 0.5
 """Of the reach: shorter legs would be no path across the picture."""
-_LOOKS = 512
+_TRIES, _LOOKS = 256, 512
 
 
 @dataclass(frozen=True)
@@ -48,15 +48,12 @@ def target_path(yfov_rad: float, duration_s: float, seed: int) -> TargetPath:
     rng = np.random.default_rng(seed)
     reach, room = REACH * math.tan(yfov_rad / 2), math.tan(math.radians(SPEED_DEG_S)) * max(duration_s, 0.0)
     corners, length = [np.zeros(2)], 0.0
-    while True:
+    for _ in range(_TRIES):
         corner = rng.uniform(-reach, reach, 2)
         leg, back = float(np.linalg.norm(corner - corners[-1])), float(np.linalg.norm(corner))
-        if leg < _LEAST_LEG * reach:
-            continue
-        if length + leg + back > room:
-            break
-        corners.append(corner)
-        length += leg
+        if leg >= _LEAST_LEG * reach and length + leg + back <= room:
+            corners.append(corner)
+            length += leg
     if len(corners) == 1:  # a short clip: as far as there is time to come back from
         corners.append(corner * min(1.0, room / 2 / back))
     corners.append(np.zeros(2))
