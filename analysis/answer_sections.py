@@ -11,17 +11,29 @@ import pandas as pd
 import analysis
 from analysis import result_columns as shown
 from analysis.blocks import Block, figure_block, number, section, table_block, words_block
-from analysis.comparisons import POOLED, conditions_of, pair_table, win_matrix, with_winner
-from analysis.plan import likert_questions, within_factors
+from analysis.comparisons import (
+    POOLED,
+    adaptive_level,
+    conditions_of,
+    is_adaptive,
+    pair_table,
+    right_answers,
+    win_matrix,
+    with_winner,
+)
+from analysis.plan import PAIRS_CHOSEN, likert_questions, within_factors
 from analysis.protocol_facts import level_order
 from analysis.rows import rows_of_table
 from analysis.sessions import Session
 from analysis.within_means import cell_means
 
 
-def preference_section(kept: pd.DataFrame, checks: pd.DataFrame) -> dict[str, Any] | None:
+def preference_section(
+    kept: pd.DataFrame, checks: pd.DataFrame, adaptive: Mapping[str, str] | None = None
+) -> dict[str, Any] | None:
     """Per block of comparisons: choices by pair, the win matrix, the Bradley-Terry scale, cost beside preference; None
     where nothing was compared. Blocks ask different questions in different ways, so that their answers are not pooled.
+    Of the ``adaptive`` blocks (`analysis.protocol_facts.adaptive_blocks`) a staircase's are counted and not tested.
     """
     chosen = with_winner(kept)
     if chosen.empty:
@@ -33,8 +45,31 @@ def preference_section(kept: pd.DataFrame, checks: pd.DataFrame) -> dict[str, An
         if len(names) > 1:
             kinds = ", ".join(sorted(set(own["kind"].astype(str).str.replace("_", " "))))
             blocks.append(words_block(f"Block {name} ({kinds}), {own['participant'].nunique()} participants."))
-        blocks += _preference_blocks(own, checks, "" if place == 0 else f"-{name}")
+        suffix = "" if place == 0 else f"-{name}"
+        if is_adaptive(own).any():
+            blocks += _staircase_blocks(own, suffix)
+            continue
+        if name in (adaptive or {}):
+            blocks.append(words_block(PAIRS_CHOSEN, kind="warning"))
+        blocks += _preference_blocks(own, checks, suffix)
     return section("preference", "Preference", blocks)
+
+
+def _staircase_blocks(chosen: pd.DataFrame, suffix: str) -> list[Block]:
+    """What a staircase or QUEST+ showed, and how often the standard was chosen: counts, and no test of them."""
+    own = right_answers(chosen).assign(value=chosen["condition"].map(adaptive_level))
+    counts = own.groupby(["condition", "value"])["right"].agg(["count", "sum"]).reset_index().sort_values("value")
+    people = own.groupby("condition")["participant"].nunique()
+    table = pd.DataFrame({
+        "value": counts["value"], "participants": counts["condition"].map(people), "answers": counts["count"],
+        "right": counts["sum"].astype(int), "share": counts["sum"] / counts["count"],
+    })  # fmt: skip
+    said = "A staircase or QUEST+ chose each trial by the answers before: it sets the share of right answers (choices "
+    said += "of the standard) itself, and no test of pairs is made. The threshold is that of the psychometric function."
+    columns = [("value", "value", "g"), ("participants", "participants", "int"), ("answers", "answers", "int"),
+               ("right", "right", "int"), ("share", "share right", "pct0")]  # fmt: skip
+    caption = f"Answers by value ({POOLED})"
+    return [words_block(said), table_block(f"staircase{suffix}", caption, table, columns)]
 
 
 def _preference_blocks(chosen: pd.DataFrame, checks: pd.DataFrame, suffix: str) -> list[Block]:

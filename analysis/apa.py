@@ -133,7 +133,7 @@ def _choice(result: Result, row: Mapping[str, Any]) -> str:
         text = f"{result.test.name}: {said} on average"
         text += f" ({row['participants']} participants, {row['answers']} answers; participants as the unit)"
         t = f"t({row['df']:g}) = {number(row['t'], 2)}, " if np.isfinite(row.get("t", np.nan)) else ""
-        p0 = number(float(result.test.options.get("p0") or 0.5), 2).replace("0.", ".", 1)
+        p0 = number(float(result.table.attrs.get("p0", 0.5)), 2).replace("0.", ".", 1)
         return f"{text}, {interval}, against {p0}: {t}{p_words(row['p'])}."
     counts = f"{row['k']:g} of {row['n']:g} participants ({row['share']:.0%})"
     text = f"{result.test.name}: {row['item']} was chosen by {counts}, {interval} (Clopper-Pearson)"

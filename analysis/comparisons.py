@@ -43,10 +43,15 @@ def is_varied(condition: str) -> bool:
     return varied_value(condition) is not None
 
 
+def is_adaptive(table: pd.DataFrame) -> pd.Series:
+    """Which trials a staircase or QUEST+ chose: those whose test stands at one of its values."""
+    return table["condition"].map(adaptive_level).notna()
+
+
 def right_answers(table: pd.DataFrame) -> pd.DataFrame:
     """The trials with a right answer, ``right`` 0/1: a known answer, or in adaptive trials the standard's choice."""
     known = table["correct"].notna()
-    adaptive = ~known & table["winner"].notna() & table["condition"].map(adaptive_level).notna()
+    adaptive = ~known & table["winner"].notna() & is_adaptive(table)
     own = table[known | adaptive].copy()
     right = [
         is_right(str(one.correct), str(one.side), str(one.response)) if known[i] else not is_varied(str(one.winner))

@@ -20,7 +20,8 @@ def _density(z: float) -> float:
 
 
 def proportion_correct(d: float, m: int) -> float:
-    """Share correct of an unbiased observer choosing one of ``m``: E[Phi(Z + d)^(m - 1)] (Green & Swets 1966)."""
+    """Share correct of an unbiased observer choosing one of ``m``: E[Phi(Z + d)^(m - 1)] (Green & Swets 1966;
+    tables of it: Hacker & Ratcliff 1979, Percept. Psychophys. 26, 168)."""
     if m == 2:
         return float(special.ndtr(d / math.sqrt(2)))
     z = np.linspace(-9.0, 9.0, 2001)

@@ -45,6 +45,9 @@ TIE_COLUMNS = ("tie", "ties", "tied", "is_tie")
 ORDER_COLUMNS = ("first", "home", "shown_first", "order", "side")
 
 
+LONE = "one observer compared it: no inference about others"
+
+
 @dataclass(frozen=True)
 class Comparisons:
     """Rows of a table counted by pair; ``counts`` (observers, 3, pairs) where observers are known."""
@@ -54,6 +57,12 @@ class Comparisons:
     observers: list[Any]
     counts: np.ndarray
     dropped: dict[Any, str]
+
+    def lone(self) -> np.ndarray:
+        """Which items fewer than two of the observers compared."""
+        seen = self.counts.sum(axis=1) > 0
+        its = [(self.pairs.first == i) | (self.pairs.second == i) for i in range(len(self.items))]
+        return np.array([seen[:, own].any(axis=1).sum() < 2 for own in its])
 
 
 def _first_shown(where: str, table: pd.DataFrame, column: str, winner: str, loser: str) -> np.ndarray:
@@ -231,16 +240,8 @@ def bradley_terry(
     p_gof, separation, covariance (items by items). Where no finite maximum exists every row says ``separated`` or
     ``disconnected`` and abilities are infinite or nan. Raises InputError for unknown columns.
     """
-    comparisons = count_comparisons(
-        "bradley_terry",
-        table,
-        winner,
-        loser,
-        _tie_column(table, ties),
-        _order_column(table, order_effect),
-        observer,
-        count,
-    )
+    columns = winner, loser, _tie_column(table, ties), _order_column(table, order_effect), observer, count
+    comparisons = count_comparisons("bradley_terry", table, *columns)
     solved = solve(comparisons, "logit", _any(comparisons.pairs.ties), bool(order_effect))
     return _scale_table("bradley_terry", comparisons, solved, "logit", observer is not None)
 
@@ -276,6 +277,8 @@ def _scale_table(
             row |= {"ci_low": ability - quantile * se, "ci_high": ability + quantile * se}
         if few and row["status"] == OK:
             row |= {"status": TOO_FEW_SUBJECTS, "note": f"{n} observer: no inference about others"}
+        if by_observer and i > 0 and comparisons.lone()[i] and row["status"] == OK:
+            row |= {"se": math.nan, "ci_low": math.nan, "ci_high": math.nan, "status": TOO_FEW_SUBJECTS, "note": LONE}
         row |= {"jod": ability / JOD_LOGIT, "jod_se": row["se"] / JOD_LOGIT}
         rows.append(row)
     if fit:

@@ -13,11 +13,11 @@ import numpy as np
 import pandas as pd
 
 import analysis
-from analysis.comparisons import right_answers, with_winner
+from analysis.comparisons import is_adaptive, right_answers, with_winner
 from analysis.exclusions import catch_results
 from analysis.plan_tests import FEW_SCENES, RUNNERS
 from analysis.planned_test import Plan, Result, Test, adjustment_name, column_of, reported_p
-from analysis.protocol_facts import level_order
+from analysis.protocol_facts import adaptive_blocks, level_order
 from analysis.rows import rows_of_table
 from analysis.sessions import Session
 from stimuli.errors import InputError, problem
@@ -39,7 +39,8 @@ def plan_of(sessions: Sequence[Session], kept: pd.DataFrame) -> Plan:
     scales = {name: (int(one["low"]), int(one["high"])) for name, one in likert_questions(sessions).items()}
     plan = parse_plan(stated, scales)
     separate = {name for test in plan.tests for name in test.separately_by}
-    plan = replace(plan, levels={name: level_order(sessions, name) for name in separate})
+    levels = {name: level_order(sessions, name) for name in separate}
+    plan = replace(plan, levels=levels, adaptive=adaptive_blocks(sessions))
     return plan if plan.stated else replace(plan, tests=derived_tests(kept, sessions))
 
 
@@ -111,11 +112,19 @@ def _determined(rated: pd.DataFrame, factors: Sequence[str], column: str = "cond
 
 
 def derived_tests(kept: pd.DataFrame, sessions: Sequence[Session]) -> tuple[Test, ...]:
-    """What a design without a plan is given: Bradley-Terry for choices; per Likert question the repeated-measures ANOVA
-    with the rank tests beside it, and Holm's post-hoc tests of the first factor."""
+    """What a design without a plan is given: per block of choices Bradley-Terry, or a psychometric function where a
+    staircase or QUEST+ chose the trials; per Likert question the repeated-measures ANOVA with the rank tests beside it,
+    and Holm's post-hoc tests of the first factor."""
     tests: list[Test] = []
-    if kept["winner"].notna().any():
-        tests.append(Test("preference", "bradley_terry", dv="choice"))
+    compared = list(dict.fromkeys(kept.loc[kept["winner"].notna(), "block"]))
+    adaptive = adaptive_blocks(sessions)
+    for block in compared:
+        only = {"block": block} if len(compared) > 1 else {}
+        name = f"preference: {block}" if only else "preference"
+        if adaptive.get(block, "active_pairs") != "active_pairs":
+            tests.append(Test(f"threshold: {block}", "psychometric", dv="correct", options={"block": block}))
+        else:
+            tests.append(Test(name, "bradley_terry", dv="choice", options=only))
     factors = within_factors(kept, sessions)
     for question in likert_questions(sessions):
         if not factors or not np.isfinite(kept.get(f"rating_{question}", pd.Series(dtype=float)).astype(float)).any():
@@ -220,6 +229,8 @@ def _run(test: Test, kept: pd.DataFrame, plan: Plan) -> Result:
         own, dv = rows_of(kept, test)
         if own.empty:
             return _without(test, "undefined", "no analysed trial answers this test")
+        if test.test != "psychometric" and test.dv in ("choice", "correct") and is_adaptive(own).any():
+            return _without(test, "undefined", SET_BY_THE_PROCEDURE)
         table = RUNNERS[test.test](own, dv, test, plan)
     except InputError as error:
         return _without(test, "undefined", str(error))
@@ -227,7 +238,20 @@ def _run(test: Test, kept: pd.DataFrame, plan: Plan) -> Result:
     n = int(table.attrs.get("n_subjects", own[test.subject].nunique()))
     notes = [f"left out: {who}: {why}" for who, why in dict(table.attrs.get("dropped") or {}).items()]
     notes += [str(note) for note in table.attrs.get("notes") or []]
+    if test.dv == "choice" and test.test not in _SCALES and {*own["block"]} & {*plan.adaptive}:
+        notes.append(PAIRS_CHOSEN)
     return Result(test, table, method, n, tuple(notes))
+
+
+SET_BY_THE_PROCEDURE = (
+    "a staircase or QUEST+ chose these trials by the answers before, and so sets the shares itself: "
+    "plan a psychometric function, or name a block of a fixed design"
+)
+PAIRS_CHOSEN = (
+    "The pairs of this block were chosen by the answers before (active_pairs): numbers of answers depend on them, and "
+    "a test of one pair does not keep its level exactly; the scale's likelihood takes all answers in."
+)
+_SCALES = ("bradley_terry", "thurstone")
 
 
 def _without(test: Test, status: str, note: str) -> Result:

@@ -63,8 +63,27 @@ def _chosen(own: pd.DataFrame, test: Test) -> pd.DataFrame:
     return own.assign(chosen=(own["winner"] == asked).astype(float), asked=asked)
 
 
+def _pictures(own: pd.DataFrame) -> np.ndarray:
+    """How many pictures each trial showed to choose between (1: it was rated)."""
+    if "condition" not in own:
+        return np.ones(len(own), dtype=int)
+    return own["condition"].astype(str).str.count(r"\|").to_numpy() + 1
+
+
+def _by_chance(own: pd.DataFrame, test: Test, otherwise: float) -> float:
+    """The stated share of right answers by chance; else that of the trials, 1 / m (``otherwise``: where nothing is
+    right or wrong, or one picture stands alone). Raises InputError where trials differ in it."""
+    found = sorted(set(_pictures(own).tolist()))
+    if test.options.get("p0") is not None or test.dv != "correct" or found == [1]:
+        return float(test.options.get("p0") or otherwise)
+    if len(found) > 1:
+        got = f"choices between {' and '.join(map(str, found))} pictures"
+        raise InputError(problem(f"analysis plan: {test.name}", "p0", got, "one number of pictures (choose by where)"))
+    return 1 / found[0]
+
+
 def _binomial_choice(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.DataFrame:
-    p0 = float(test.options.get("p0") or 0.5)
+    p0 = _by_chance(own, test, 0.5)
     if test.dv == "choice":
         own = _chosen(own, test)
         name = str(own["asked"].iloc[0])
@@ -80,7 +99,7 @@ def _binomial_choice(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.D
             f"Student's t test of the participants' shares against {p0:g}; interval of Korn and Graubard at the "
             "effective sample size (near the limit the two can disagree)."
         )
-    table.attrs.update(method=how, n_subjects=row["participants"])
+    table.attrs.update(method=how, n_subjects=row["participants"], p0=p0)
     return table
 
 
@@ -219,7 +238,7 @@ def _psychometric(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.Data
     # the participant is the unit: counts stay apart, and errors are those over participants
     counted = rows.groupby(["who", "x"], sort=False)["k"].agg(["sum", "count"])
     counted = counted.rename(columns={"sum": "k", "count": "n"}).reset_index()
-    guess = float(test.options.get("p0") or 0.0)
+    guess = _by_chance(own, test, 0.0)
     return analysis.psychometric(
         counted, x="x", k="k", n="n", link=str(test.options.get("method") or "logit"), guess=guess, observer="who"
     )
@@ -240,14 +259,26 @@ def _cochran(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.DataFrame
 
 
 def _dprime(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.DataFrame:
+    """Of every participant, and of every number of pictures to choose between."""
     own = _chosen(own, test) if test.dv == "choice" else own.assign(chosen=own[dv])
-    people = own.groupby(test.subject, sort=False)["chosen"].agg(["sum", "count"])
+    own = own.assign(m=_pictures(own))
+    if (own["m"] < 2).any():
+        wanted = "choices between two or more pictures"
+        raise InputError(problem(f"analysis plan: {test.name}", "dprime", "trials with one picture", wanted))
+    people = own.groupby([test.subject, "m"], sort=False)["chosen"].agg(["sum", "count"]).reset_index()
     tables = [
-        analysis.dprime(int(row["sum"]), int(row["count"]), m=2).assign(participant=str(person))
-        for person, row in people.iterrows()
+        analysis.dprime(int(row["sum"]), int(row["count"]), m=int(row["m"])).assign(
+            participant=str(row[test.subject]), m=int(row["m"])
+        )
+        for row in people.to_dict("records")
     ]
     table = pd.concat(tables, ignore_index=True)
-    table.attrs.update(method="d' per participant, two-alternative forced choice.", n_subjects=len(people))
+    how = ", ".join(f"{m}-alternative" for m in sorted(set(own["m"])))
+    method = f"d' per participant, {how} forced choice: the picture with the largest of m independent normal "
+    method += "evidences is chosen, without bias to a place (Hacker & Ratcliff 1979)."
+    if "side_by_side" in set(own.get("kind", ())):
+        method += " The reference beside the pictures is left out of account: d' is not that of a matching task."
+    table.attrs.update(method=method, n_subjects=own[test.subject].nunique())
     return table
 
 

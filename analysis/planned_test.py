@@ -45,7 +45,8 @@ class Result:
 @dataclass(frozen=True)
 class Plan:
     """``stated``: False where it was derived from the design, since the study had none; ``scales``: lowest and highest
-    answer of each Likert question; ``levels``: those of the factors tested separately, as the protocol lists them."""
+    answer of each Likert question; ``levels``: those of the factors tested separately, as the protocol lists them;
+    ``adaptive``: blocks whose trials depend on the answers before, and how (`analysis.protocol_facts`)."""
 
     tests: tuple[Test, ...]
     alpha: float
@@ -53,6 +54,7 @@ class Plan:
     stated: bool
     scales: Mapping[str, tuple[int, int]] = field(default_factory=dict)
     levels: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    adaptive: Mapping[str, str] = field(default_factory=dict)
 
 
 def sphericity_corrected(row: Mapping[Any, Any]) -> bool:

@@ -44,6 +44,17 @@ def replication_of(sessions: Sequence[Session]) -> Mapping[str, Any] | None:
     return stated if isinstance(stated, Mapping) else None
 
 
+def adaptive_blocks(sessions: Sequence[Session]) -> dict[str, str]:
+    """Blocks whose trials depend on the answers before, and how: staircase, quest_plus or active_pairs."""
+    found: dict[str, str] = {}
+    blocks = protocol_of(sessions[0]).get("blocks")
+    for block in blocks if isinstance(blocks, Sequence) else ():
+        varied = block.get("adaptive") if isinstance(block, Mapping) else None
+        if isinstance(varied, Mapping):
+            found[str(block.get("name"))] = str(varied.get("kind"))
+    return found
+
+
 def level_order(sessions: Sequence[Session], factor: str) -> list[str]:
     """The levels of ``factor`` in the order in which a block of the protocol lists them; empty where none does."""
     blocks = protocol_of(sessions[0]).get("blocks")

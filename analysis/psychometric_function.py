@@ -162,6 +162,12 @@ def psychometric(
         return (*_maximum(levels, start), levels)
 
     theta, information, converged, levels = fit(np.ones(len(at)))
+    p, fail, _ = levels.probability(theta[0] + theta[1] * levels.u)
+    found = float(np.sum(special.xlogy(levels.k, p) + special.xlogy(levels.n - levels.k, fail)))
+    level = min(max(float(levels.k.sum() / levels.n.sum()), guess), 1 - lapse)
+    same = float(special.xlogy(levels.k.sum(), level) + special.xlogy((levels.n - levels.k).sum(), 1 - level))
+    if not found > same + 1e-9 * (1 + abs(same)):
+        return _no_estimate(UNDEFINED, "no level's answers differ from one share for all", method, n_subjects, dropped)
     if abs(theta[1]) > 200:
         note = "the answers step from the lowest to the highest share between two levels: the slope is not finite"
         return _no_estimate(SEPARATED, note, method, n_subjects, dropped, math.copysign(math.inf, theta[1]))

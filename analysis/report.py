@@ -69,7 +69,7 @@ def analyse(
         results = run_plan(plan, kept, lambda: progress("tests"))
         analysed = int((exclusions.participants["analysed"] > 0).sum())
         registered = compare(registration, sessions, analysed) if registration is not None else None
-        preference = preference_section(kept, checks)
+        preference = preference_section(kept, checks, plan.adaptive)
         ratings = likert_section(kept, sessions) if len(kept) else None
         said = f"No presentation is left to analyse: none of the {len(plan.tests)} planned tests could be made."
         planned = section("tests", "Planned tests", [words_block(said, kind="warning")])

@@ -127,6 +127,7 @@ RESULT_COLUMNS: dict[str, Columns] = {
     "cochran_q": (("statistic", "Q", "f2"), ("df", "df", "g"), ("p", "p", "p"), ("p_family", "p family", "p")),
     "dprime": (
         ("participant", "participant", "text"),
+        ("m", "pictures", "int"),
         ("dprime", "d′", "f2"),
         ("se", "SE", "f2"),
         ("criterion", "c", "f2"),

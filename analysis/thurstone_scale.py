@@ -11,7 +11,7 @@ from scipy import special
 
 from analysis.bootstrap import in_blocks, resample_weights
 from analysis.pair_model import design, fit_many
-from analysis.paired_comparison import JOD_Z, Comparisons, count_comparisons, fit_attrs, solve
+from analysis.paired_comparison import JOD_Z, LONE, Comparisons, count_comparisons, fit_attrs, solve
 from analysis.results import OK, SEPARATED, TOO_FEW_SUBJECTS, one_of, result_table
 
 
@@ -68,6 +68,8 @@ def thurstone(
             row |= {"scale": z * factor, "se": se * factor, "ci_low": low * factor, "ci_high": high * factor}
         if few and row["status"] == OK:
             row |= {"status": TOO_FEW_SUBJECTS, "note": f"{n} observer: no inference about others"}
+        if observer and i > 0 and comparisons.lone()[i] and row["status"] == OK:
+            row |= {"se": math.nan, "ci_low": math.nan, "ci_high": math.nan, "status": TOO_FEW_SUBJECTS, "note": LONE}
         rows.append(row)
     attrs["covariance"] = (covariance * factor**2).tolist()
     how = "maximum likelihood" if method == "ml" else "least squares of z"

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
-from scipy import stats
+from scipy import integrate, stats
 
 import analysis
+from analysis.detection import proportion_correct
+from analysis.plan_tests import RUNNERS
+from analysis.planned_test import Plan, Test
 from stimuli.errors import InputError
 
 
@@ -186,3 +190,32 @@ def test_weiers_fixation_effect_used_a_pooled_error() -> None:
     assert not analysis.check_reported("3.46", (2, 28), ".03")["consistent"].iloc[0]
     assert analysis.check_reported("3.46", (2, 1392), ".03")["consistent"].iloc[0]
     assert analysis.check_reported("2.20", 15, "<.05", kind="t")["consistent"].iloc[0]
+
+
+@pytest.mark.parametrize("m", [3, 4, 8, 100])
+@pytest.mark.parametrize("d", [-0.7, 0.5, 2.0, 4.0])
+def test_share_correct_of_m_is_that_the_right_evidence_is_the_largest(m: int, d: float) -> None:
+    right = integrate.quad(lambda z: stats.norm.pdf(z - d) * stats.norm.cdf(z) ** (m - 1), -12, 16, epsabs=1e-13)[0]
+    assert proportion_correct(d, m) == pytest.approx(right, rel=1e-9)
+
+
+def test_planned_dprime_and_chance_follow_the_number_of_pictures() -> None:
+    plan = Plan((), 0.05, "holm", True)
+    rows = [(who, float(k < right)) for who, right in (("x", 15), ("y", 12)) for k in range(20)]
+    two = pd.DataFrame(rows, columns=["participant", "right"]).assign(condition="a|b", kind="forced_choice")
+    four = two.assign(condition="a|b|c|c")
+    test = Test("t", "dprime", dv="correct")
+    for own, m in ((two, 2), (four, 4)):
+        made = RUNNERS["dprime"](own, "right", test, plan)
+        np.testing.assert_allclose(made["dprime"], analysis.dprime([15, 12], [20, 20], m=m)["dprime"])
+        assert made["m"].tolist() == [m, m]
+        chosen = RUNNERS["binomial_choice"](own, "right", replace(test, test="binomial_choice"), plan)
+        assert chosen.attrs["p0"] == 1 / m
+    both = pd.concat([two, four])
+    assert RUNNERS["dprime"](both, "right", test, plan)["m"].tolist() == [2, 2, 4, 4]
+    with pytest.raises(InputError, match="2 and 4 pictures"):
+        RUNNERS["binomial_choice"](both, "right", replace(test, test="binomial_choice"), plan)
+    with pytest.raises(InputError, match="one picture"):
+        RUNNERS["dprime"](two.assign(condition="a"), "right", test, plan)
+    matching = RUNNERS["dprime"](two.assign(kind="side_by_side"), "right", test, plan)
+    assert "matching task" in matching.attrs["method"]

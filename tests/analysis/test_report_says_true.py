@@ -10,11 +10,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from analysis.answer_sections import likert_section
+from analysis.answer_sections import likert_section, preference_section
 from analysis.comparisons import adaptive_level
 from analysis.exclusions import apply_exclusions
 from analysis.matching import unmatched_comparisons
 from analysis.observers import circular_triads, triads_by_block
+from analysis.plan import run_plan
 from analysis.plan_tests import RUNNERS
 from analysis.planned_test import Plan, Test
 from analysis.quality import response_effects
@@ -220,3 +221,39 @@ def test_the_r_script_keeps_blocks_apart() -> None:
     ]
     assert 'keep("clean, block again: ANOVA"' in script
     assert 'keep("sure: ANOVA"' in script
+
+
+def staircase_answers() -> pd.DataFrame:
+    """Six participants' trials of a staircase block, and of a block whose pairs were chosen as answers came."""
+    rng, rows = np.random.default_rng(4), []
+    for person in "abcdef":
+        for level in (1, 2, 3) * 6:
+            pair = ["full", f"less@{level}"]
+            won = int(rng.random() < 0.4)
+            rows.append((person, "stairs", "|".join(pair), pair[won], pair[1 - won]))
+            rows.append((person, "pairs", "x|y", *(("x", "y") if rng.random() < 0.6 else ("y", "x"))))
+    table = pd.DataFrame(rows, columns=["participant", "block", "condition", "winner", "loser"])
+    return table.assign(correct=None, side="first", response=table["winner"], kind="two_interval", scene="s")
+
+
+def test_trials_that_a_staircase_chose_are_counted_and_not_tested() -> None:
+    kept = staircase_answers()
+    checks = pd.DataFrame({"condition": [], "cost_ms": []})
+    found = preference_section(kept, checks, {"stairs": "staircase", "pairs": "active_pairs"})
+    assert found is not None
+    blocks = {block.get("id"): block for block in found["blocks"]}
+    assert [row["answers"] for row in blocks["staircase"]["rows"]] == [36, 36, 36]
+    assert {row["a"] for row in blocks["pairs-pairs"]["rows"]} <= {"x", "y"}
+    assert any("active_pairs" in " ".join(block.get("paragraphs", ())) for block in found["blocks"])
+    tests = [
+        Test(name, name, dv="choice", options={"block": block})
+        for name, block in (("bradley_terry", "stairs"), ("binomial_choice", "stairs"), ("binomial_choice", "pairs"))
+    ]
+    tests.append(Test("t", "psychometric", dv="correct", options={"block": "stairs"}))
+    plan = Plan(tuple(tests), 0.05, "holm", True, adaptive={"pairs": "active_pairs"})
+    scale, share, pair, threshold = run_plan(plan, kept)
+    for refused in (scale, share):
+        assert refused.table["status"].tolist() == ["undefined"]
+        assert "sets the shares itself" in refused.table["note"].iloc[0]
+    assert any("active_pairs" in note for note in pair.notes)
+    assert "guess 0.5" in threshold.method

@@ -151,3 +151,17 @@ def test_differences_use_their_covariance() -> None:
     np.testing.assert_allclose(-against_first["diff"], made["ability"][1:], rtol=1e-12)
     np.testing.assert_allclose(against_first["se"], made["se"][1:], rtol=1e-12)
     np.testing.assert_allclose(pairs["p"], 2 * stats.norm.sf(pairs["z"].abs()), rtol=1e-9)
+
+
+def test_an_item_that_one_observer_compared_has_no_interval() -> None:
+    alone = pd.DataFrame({"won": ["t9", "t9", "t1", "t9", "t1"], "lost": ["t1", "t1", "t9", "t1", "t9"]})
+    both = pd.concat([comparisons(observers=8)[["who", "won", "lost"]], alone.assign(who=0)])
+    for made, value in (
+        (analysis.bradley_terry(both, "won", "lost", observer="who"), "ability"),
+        (analysis.thurstone(both, "won", "lost", observer="who", n_boot=50), "scale"),
+    ):
+        row = made.iloc[-1]
+        assert (row["item"], row["status"]) == ("t9", "too_few_subjects")
+        assert np.isfinite(row[value])
+        assert np.isnan(row[["se", "ci_low", "ci_high"]].to_numpy(dtype=float)).all()
+        assert set(made["status"][:-1]) == {"ok"}
