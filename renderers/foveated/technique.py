@@ -82,6 +82,7 @@ class Foveated:
         self._all_lanes = opaque_uint(lane_of)
         self._all_texel_lanes = opaque_uint(lane_of[grid.texel_pixels()])
         self._texel_pixel = opaque_uint(grid.texel_pixels())
+        self._no_marks = opaque_uint(np.zeros(grid.texels))
         x, y, texel = grid.vertices()
         self._vertices = (opaque_float(x), opaque_float(y), opaque_uint(texel))
         self._blocks = BlockMesh(grid)
@@ -109,7 +110,7 @@ class Foveated:
             self._full.reset(seed)
             return
         self._picture: Picture | None = None
-        self._marks = opaque_uint(np.zeros(self.grid.texels))
+        self._marks = self._no_marks
         self._mesh: Any = None
         self._plane: EyePlane | None = None
         self._probability: Any = None  # scanline order
@@ -221,7 +222,7 @@ class Foveated:
         if self._full is not None:
             return self._full.render(view)
         if view.cut:
-            self._picture = None
+            self._picture, self._marks = None, self._no_marks
         stage, run = self._watch.stage, self._kernels
         width, height = self.size_px
         pixels, texels, vertices = width * height, self.grid.texels, self.grid.mesh[0] * self.grid.mesh[1]

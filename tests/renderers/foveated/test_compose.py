@@ -108,6 +108,16 @@ def test_weights_and_ages_of_what_was_traced_and_what_was_not() -> None:
     assert (shown["age"][~traced] >= 1).all()
 
 
+def test_after_a_cut_the_debug_pictures_tell_of_nothing_before_it() -> None:
+    technique, _ = rendered(lit_scene(), 3)
+    assert technique.show(view(lit_scene(), 2))["marks"].sum() > 100
+    technique.render(view(lit_scene(), 3, cut=True))
+    shown = technique.show(view(lit_scene(), 3))
+    assert shown["marks"].sum() == 0
+    assert (shown["sampled"] == 1).all()
+    assert (shown["age"] == 0).all()
+
+
 @pytest.mark.parametrize("lighting", ["direct", "ambient_occlusion"])
 def test_light_is_lent_by_cached_surfaces_outside_of_fovea_and_marks(lighting: str) -> None:
     """A lit wall and a panel before it; at the side nothing at all, and a lamp that only glows."""
