@@ -17,7 +17,7 @@ from numba import get_num_threads, njit, prange
 
 from renderers.backend import dr, mi
 from renderers.frozen import aligned
-from renderers.gl.context import FLOATS_A_VERTEX, NEAR, MeshRasteriser
+from renderers.gl.context import FLOATS_A_VERTEX, NEAR, MeshRasteriser, Stage, unmeasured
 
 BAND_ROWS = 64
 """Rows that a thread draws at a time: their pixels stay in its cache."""
@@ -195,8 +195,8 @@ class Rasteriser(Protocol):
 class SpanRasteriser:
     """Draws a grid mesh of ``columns`` x ``rows`` vertices into ``size_px``; see `gl.context.MeshRasteriser`."""
 
-    def __init__(self, size_px: tuple[int, int], columns: int, rows: int) -> None:
-        self.size_px = size_px
+    def __init__(self, size_px: tuple[int, int], columns: int, rows: int, stage: Stage = unmeasured) -> None:
+        self.size_px, self._stage = size_px, stage
         width, height = size_px
         self._placed = np.zeros((columns * rows, _VALUES))
         self._place_px = aligned(np.zeros(width * height * 2), np.float32)
@@ -204,6 +204,10 @@ class SpanRasteriser:
 
     def draw(self, vertices: Any, indices: np.ndarray) -> tuple[Any, Any]:
         """(place, depth) of ``vertices`` as the triangles of ``indices``, as `gl.context.MeshRasteriser.draw`."""
+        with self._stage("raster"):
+            return self._draw(vertices, indices)
+
+    def _draw(self, vertices: Any, indices: np.ndarray) -> tuple[Any, Any]:
         width, height = self.size_px
         host = vertices.numpy().reshape(-1, FLOATS_A_VERTEX)
         triangles = indices.reshape(-1, 3)
@@ -222,11 +226,14 @@ class SpanRasteriser:
 Choice = Literal["auto", "numba", "moderngl"]
 
 
-def make_rasteriser(choice: Choice, on_gpu: bool, size_px: tuple[int, int], columns: int, rows: int) -> Rasteriser:
-    """``choice`` 'auto' is moderngl where rays are traced on a GPU (``on_gpu``), else numba.
+def make_rasteriser(
+    choice: Choice, on_gpu: bool, size_px: tuple[int, int], columns: int, rows: int, stage: Stage = unmeasured
+) -> Rasteriser:
+    """``choice`` 'auto' is moderngl where rays are traced on a GPU (``on_gpu``), else numba. ``stage`` measures drawing
+    as 'raster' and what moderngl's data costs on its way as 'crossing'.
 
     Raises InputError where moderngl is chosen and there is no OpenGL without a window.
     """
     if choice == "numba" or (choice == "auto" and not on_gpu):
-        return SpanRasteriser(size_px, columns, rows)
-    return MeshRasteriser(size_px, columns, rows)
+        return SpanRasteriser(size_px, columns, rows, stage)
+    return MeshRasteriser(size_px, columns, rows, stage)

@@ -10,7 +10,7 @@ from pathlib import Path
 from renderers.foveated.table import PAPER, PAPER_MEANS, RINGS_DEG, SCENES, SETTINGS, Cell, Setting, summary
 from renderers.text_table import aligned
 
-_STAGES = ("state", "move", "raster", "marks", "select", "trace", "extract", "compose", "post filter")
+_STAGES = ("state", "move", "raster", "crossing", "marks", "select", "trace", "extract", "compose", "post filter")
 _WORDS: dict[Setting, str] = {"point": "point light", "area": "area light", "ambient_occlusion": "ambient occlusion"}
 
 

@@ -89,8 +89,8 @@ class Foveated:
         self._block = {size: opaque_uint(np.arange(math.prod(blocks_of(grid, size)))) for size in SIZES}
         k = (params.k_min, params.k_max)
         self._own_light = self.noisy and (params.light_k_min, params.light_k_max) != k
-        self._rasteriser = make_rasteriser(params.rasteriser, is_cuda(), size_px, *grid.mesh)
         self._watch = Stopwatch(measure, dr.sync_thread)
+        self._rasteriser = make_rasteriser(params.rasteriser, is_cuda(), size_px, *grid.mesh, self._watch.stage)
         self._kernels: dict[str, Callable[..., Any]] = {
             kernel.__name__: frozen(kernel)
             for kernel in (
@@ -237,7 +237,8 @@ class Foveated:
                 with stage("move"):
                     moved, edge = run["_move"](vertices, state, *self._vertices[:2], self._mesh)
                 with stage("raster"):
-                    place, depth = self._rasteriser.draw(moved, self._blocks.indices(self._flat_of(moved)))
+                    triangles = self._blocks.indices(self._flat_of(moved))
+                place, depth = self._rasteriser.draw(moved, triangles)
                 with stage("marks"):
                     mover = self._mesh[3] if self.engine.tracer.bodies and self.params.reproject_movers else None
                     looks = run["_look"](

@@ -1,11 +1,14 @@
 """An OpenGL context without a window, and the depth mesh that foveated reprojection rasterises.
 
 The only place where data crosses between Dr.Jit and moderngl: vertices go in, two flat arrays come out. Both cross as
-host memory: moderngl maps no CUDA memory, so with `cuda` this is a round trip (about 12 bytes a pixel and frame).
+host memory: moderngl maps no CUDA memory, so with `cuda` this is a round trip (about 12 bytes a pixel and frame), whose
+time is the stage "crossing" where stages are measured.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from importlib.resources import files
 from typing import Any
 
@@ -22,6 +25,15 @@ FLOATS_A_VERTEX = 8
 INDICES_A_CELL = 6
 
 
+Stage = Callable[[str], AbstractContextManager[object]]
+"""Measures what runs inside under a name (`renderers.stopwatch.Stopwatch.stage`)."""
+
+
+def unmeasured(_: str) -> AbstractContextManager[object]:
+    """A `Stage` that measures nothing."""
+    return nullcontext()
+
+
 def standalone_context() -> moderngl.Context:
     """A context of its own by EGL, which wants no display. moderngl's bare Exception where there is no driver."""
     return moderngl.create_standalone_context(require=330, backend="egl")  # type: ignore[arg-type]
@@ -35,8 +47,8 @@ class MeshRasteriser:
     `renderers.foveated.mesh_blocks`); RG32F, RG16, RG32UI and RGBA32F differ by less than a third (35, 34, 40, 46 ms).
     """
 
-    def __init__(self, size_px: tuple[int, int], columns: int, rows: int) -> None:
-        self.size_px = size_px
+    def __init__(self, size_px: tuple[int, int], columns: int, rows: int, stage: Stage = unmeasured) -> None:
+        self.size_px, self._stage = size_px, stage
         try:
             self.gl = standalone_context()
         except Exception as error:  # moderngl raises nothing narrower
@@ -66,13 +78,15 @@ class MeshRasteriser:
         Returns (place, depth), Float: H * W * 2 pixels of the last picture (nan: no mesh), H * W window depth in
         [0, 1]. Both are valid until the next call.
         """
-        host = np.ascontiguousarray(vertices.numpy(), np.float32)
-        with self.gl:
-            self._vertices.write(host)
+        with self._stage("crossing"), self.gl:
+            self._vertices.write(np.ascontiguousarray(vertices.numpy(), np.float32))
             self._indices.write(indices)
+        with self._stage("raster"), self.gl:
             self._target.use()
             self._target.clear(float("nan"), float("nan"), 0.0, 0.0, depth=1.0)
             self._mesh.render(moderngl.TRIANGLES, vertices=len(indices))
+            self.gl.finish()  # reading would wait for it
+        with self._stage("crossing"), self.gl:
             dr.sync_thread()  # kernels that read the last result are done before it is written over
             self._place.read_into(self._place_px)
             self._depth.read_into(self._depth_values)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from renderers.backend import activate, mi
+from renderers.engine import Engine
 from renderers.foveated.span_rasteriser import SpanRasteriser, make_rasteriser
 from renderers.foveated.technique import Foveated
 from renderers.gl.context import NEAR, MeshRasteriser
@@ -139,3 +140,18 @@ def test_both_give_the_same_pictures_of_a_scene() -> None:
     assert Parameters().rasteriser == "auto"
     away = np.abs(found["numba"] - found["moderngl"])
     assert np.quantile(away, 0.99) < 0.02
+
+
+@pytest.mark.parametrize("choice", ["numba", "moderngl"])
+def test_what_crossing_to_opengl_costs_is_measured(choice: str) -> None:
+    scene = wall()
+    technique = Foveated(Engine(scene), (600, 450), Parameters(rasteriser=choice), 1, "stages")
+    for k in range(3):
+        frame = technique.render(view(scene, k, (600, 450)))
+    technique.close()
+    seconds = dict(frame.seconds)
+    total = seconds.pop("total")
+    assert seconds["raster"] > 0
+    assert ("crossing" in seconds) == (choice == "moderngl")
+    assert seconds.get("crossing", 1.0) > 1e-5
+    assert 0.5 * total < sum(seconds.values()) <= total
