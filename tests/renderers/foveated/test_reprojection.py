@@ -10,13 +10,14 @@ import pytest
 from renderers.backend import activate, mi
 from renderers.engine import Engine
 from renderers.foveated.post_filter import SEARCH_TEXELS, nearest_unmarked_px
-from renderers.foveated.reprojection import DEVIATION, mark, normal_taps, world_depth
+from renderers.foveated.reprojection import DEVIATION, look, mark, normal_taps, world_depth
 from renderers.foveated.support import IS_TEXEL, SupportGrid
 from renderers.foveated.technique import Foveated
 from renderers.frozen import frozen
 from renderers.parameters import Foveated as Parameters
 from renderers.vanilla import frame_lanes
 from stimuli import load_scene
+from stimuli.encode import srgb_from_linear
 from stimuli.scene import Mover, Scene
 from tests.renderers.foveated.test_technique import (
     NO_MARKS,
@@ -259,3 +260,28 @@ def test_what_a_mover_uncovers_is_traced_anew_though_its_depth_is_nearly_the_sam
     assert wrong.mean() < 0.002
     traced = technique.show(view(scene, 6))["sampled"]
     assert traced.mean() < 0.25
+
+
+def test_the_coarse_picture_is_the_mean_of_what_is_displayed() -> None:
+    """Random colours up to 20 times white, nothing moves: luma of the 3x3 taps' mean, each no more than white."""
+    grid, exposure = SupportGrid.of((60, 45), 4.6), 4.0
+    rng = np.random.default_rng(6)
+    shown = (10 ** rng.uniform(-3, 0.7, (45, 60, 4))).astype(np.float32)
+    y, x = np.mgrid[:45, :60] + 0.5
+    place = mi.Float(np.stack([x, y], -1).astype(np.float32).ravel())
+    depth, edge = mi.Float(np.full(45 * 60, 0.999, np.float32)), mi.Float(np.ones(grid.mesh[0] * grid.mesh[1]))
+    pixels = grid.texel_pixels()
+    found = look(
+        grid, place, depth, mi.Float(shown.ravel()), edge, None, mi.Float(1.0), mi.Float(exposure), mi.UInt32(pixels)
+    ).numpy().reshape(-1, 4)  # fmt: skip
+    for texel, pixel in enumerate(pixels.astype(int)):
+        row, column = divmod(pixel, 60)
+        taps = [
+            shown[np.clip(row + dy, 0, 44), np.clip(column + dx, 0, 59), :3]
+            for dy in (-round(45 / grid.rows / 3), 0, round(45 / grid.rows / 3))
+            for dx in (-round(60 / grid.columns / 3), 0, round(60 / grid.columns / 3))
+        ]
+        mean = np.minimum(np.array(taps) * exposure, 1).mean(axis=0)
+        assert found[texel, 1] == pytest.approx(srgb_from_linear(mean) @ [0.2126, 0.7152, 0.0722], abs=1e-4)
+    np.testing.assert_allclose(found[:, 0], 1e-3 / (1 - np.float32(0.999)), rtol=1e-4)
+    assert (found[:, 3] == 1).all()

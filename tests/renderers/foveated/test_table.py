@@ -39,6 +39,7 @@ def test_a_cell_of_each_setting() -> None:
         assert cell.trace_speedup == pytest.approx(cell.full_trace_ms / cell.stages_ms["trace"])
         assert len(cell.rmse_by_ring) == len(RINGS_DEG) - 1
         assert cell.rmse_by_ring[0] < 1e-6  # the fovea is what full ray tracing shows
+        assert 0.2 < max(cell.rmse_by_ring) < 60  # of codes from 0 to 255
         assert cell.rmse_by_ring[2] > 0
         assert cell.flip_by_ring[0] < 0.02  # it looks around each pixel
         assert 0.005 < max(cell.flip_by_ring) < 0.5
