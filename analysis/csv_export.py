@@ -13,8 +13,9 @@ from tqdm import tqdm
 
 from analysis.codebook import codebook
 from analysis.exclusions import Exclusions, apply_exclusions, rules_of
-from analysis.plan import likert_questions, within_factors
+from analysis.plan import likert_questions, plan_of, with_scenes, within_factors
 from analysis.quality import key_mapping
+from analysis.r_plan import planned_tests
 from analysis.r_script import r_script
 from analysis.sessions import Session, combine, group_text, read_sessions
 from analysis.streams import read_flips, read_gaze, read_self_answers
@@ -43,9 +44,11 @@ def export_csv(data: Iterable[str | Path], folder: Path, show_progress: bool = F
     questions = likert_questions(sessions)
     described = codebook(tables, questions, sessions)
     (folder / "codebook.json").write_text(json.dumps(described, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-    script = r_script(
-        sessions, questions, within_factors(exclusions.kept, sessions), bool(trials["winner"].notna().any())
-    )
+    kept = exclusions.kept
+    plan = with_scenes(plan_of(sessions, kept), kept)
+    planned = planned_tests(plan, kept) if plan.stated and len(kept) else ""
+    chosen = bool(trials["winner"].notna().any())
+    script = r_script(sessions, questions, within_factors(kept, sessions), chosen, planned)
     (folder / "analysis.R").write_text(script, encoding="utf-8")
     return folder
 

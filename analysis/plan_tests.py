@@ -36,7 +36,7 @@ class _Pair:
         return table
 
 
-def _pair(own: pd.DataFrame, dv: str, test: Test) -> _Pair:
+def pair_of(own: pd.DataFrame, dv: str, test: Test) -> _Pair:
     """Participant means of the two levels ``a`` and ``b`` of the first factor (else its first and last by name)."""
     factor = test.within[0] if test.within else "condition"
     levels = sorted(column_of(own, factor, test).astype(str).unique())
@@ -139,7 +139,7 @@ def _friedman(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.DataFram
 
 
 def _wilcoxon(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.DataFrame:
-    pair = _pair(own, dv, test)
+    pair = pair_of(own, dv, test)
     return pair.named(analysis.wilcoxon(pair.x, pair.y))
 
 
@@ -147,7 +147,7 @@ def _tost(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.DataFrame:
     low, high = test.options.get("low"), test.options.get("high")
     if low is None or high is None:
         raise InputError(problem(f"analysis plan: {test.name}", "bounds", f"low {low}, high {high}", "both bounds"))
-    pair = _pair(own, dv, test)
+    pair = pair_of(own, dv, test)
     table = analysis.tost(pair.x, pair.y, low=float(low), high=float(high))
     table.insert(0, "low", float(low))
     table.insert(1, "high", float(high))
@@ -174,10 +174,13 @@ FEW_SCENES = 6
 """From so many scenes on they are a sample of scenes, and a random factor; fewer are these scenes only."""
 
 
-def _random_terms(own: pd.DataFrame, test: Test, formula: str) -> list[str]:
+def random_terms(own: pd.DataFrame, test: Test, formula: str) -> list[str]:
     """The stated random effects; else participants, their own effect of each within factor that they judged several
     times a level (without it their trials would count as independent), and scenes where there are enough and no effect
-    names them."""
+    names them; with ``scenes_random`` (`plan.with_scenes`) effects that differ by scene as well."""
+    if test.test == "linear_mixed" and test.options.get("scenes_random"):
+        by_scene = ["(1|scene)", *(f"(1|scene:{name})" for name in test.within), f"(1|{test.subject})"]
+        return by_scene + [f"(1|{test.subject}:{name})" for name in test.within]
     stated = test.options.get("random")
     if stated:
         return [str(stated)]
@@ -194,7 +197,8 @@ def _random_terms(own: pd.DataFrame, test: Test, formula: str) -> list[str]:
     return terms
 
 
-def _formula(own: pd.DataFrame, dv: str, test: Test) -> str:
+def formula_of(dv: str, test: Test) -> str:
+    """The stated formula; else the within factors (condition) with all their interactions."""
     given = test.options.get("formula")
     return str(given) if given else f"{dv} ~ {' * '.join(test.within or ('condition',))}"
 
@@ -203,22 +207,19 @@ def _binomial_mixed(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.Da
     if test.dv == "choice":
         own = _chosen(own, test)
     formula = str(test.options.get("formula") or f"{dv} ~ 1")
-    return analysis.binomial_mixed(own, formula, random=_random_terms(own, test, formula))
+    return analysis.binomial_mixed(own, formula, random=random_terms(own, test, formula))
 
 
 def _cumulative_link(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.DataFrame:
-    formula = _formula(own, dv, test)
-    return analysis.cumulative_link(own, formula, random=_random_terms(own, test, formula), test=None)
+    formula = formula_of(dv, test)
+    return analysis.cumulative_link(own, formula, random=random_terms(own, test, formula), test=None)
 
 
 def _linear_mixed(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.DataFrame:
     """With ``scenes_random`` (`plan.with_scenes`): effects that differ by participant and by scene too. Variances may
     be negative: they are there for the tests, which hold their level so (`analysis.linear_mixed`)."""
-    formula = _formula(own, dv, test)
-    random = _random_terms(own, test, formula)
-    if test.options.get("scenes_random"):
-        random = ["(1|scene)", *(f"(1|scene:{name})" for name in test.within), f"(1|{test.subject})"]
-        random += [f"(1|{test.subject}:{name})" for name in test.within]
+    formula = formula_of(dv, test)
+    random = random_terms(own, test, formula)
     table = analysis.linear_mixed(own, formula, random=random, variances="unbounded")
     joint = [
         f"{one['term']}: F({one['df1']:g}, {one['df2']:.1f}) = {one['F']:.2f}, {p_words(one['p'])}."
@@ -245,7 +246,7 @@ def _psychometric(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.Data
 
 
 def _mcnemar(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.DataFrame:
-    pair = _pair(own, dv, test)
+    pair = pair_of(own, dv, test)
     if not (np.isin(pair.x, (0, 1)).all() and np.isin(pair.y, (0, 1)).all()):
         wanted = "one answer (0 or 1) a participant and level"
         raise InputError(problem(f"analysis plan: {test.name}", "mcnemar", "several answers", wanted))

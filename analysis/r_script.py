@@ -57,7 +57,11 @@ tests$p_holm <- p.adjust(tests$p, "holm")
 keep("{name}: pairs of {first_plain}", tests)
 friedman <- friedman.test(dv ~ {first} | participant, means)
 keep("{name}: Friedman", data.frame(chi2 = friedman$statistic, df = friedman$parameter, p = friedman$p.value))
-mixed <- lmerTest::lmer(dv ~ {star} + (1 | participant), rated)
+# participants differ in their effects too: without those terms their repetitions would count as independent
+random <- "(1 | participant)"
+for (factor in c({within})) if (max(table(rated$participant, rated[[factor]])) > 1)
+  random <- paste0(random, " + (1 | participant:`", factor, "`)")
+mixed <- lmerTest::lmer(as.formula(paste("dv ~ {star} +", random)), rated)
 keep("{name}: mixed model", as.data.frame(coef(summary(mixed))))
 """
 _CHOICES = """
@@ -123,14 +127,16 @@ def _blocks(sessions: Sequence[Session], question: str) -> list[str]:
 
 
 def r_script(
-    sessions: Sequence[Session], questions: Mapping[str, Mapping[str, Any]], factors: Sequence[str], choices: bool
-) -> str:
-    """The script as text; the parts that this study's answers allow."""
+    sessions: Sequence[Session], questions: Mapping[str, Mapping[str, Any]], factors: Sequence[str], choices: bool,
+    planned: str = "",
+) -> str:  # fmt: skip
+    """The script as text; the parts that this study's answers allow. ``planned`` (`analysis.r_plan.planned_tests`)
+    stands in place of the tests derived from the design."""
     simulated = sessions[0].observer_kind == "simulated"
     who = "SIMULATED: no person answered." if simulated else "Answers by persons."
     parts = [_HEAD.format(study=_quoted(str(sessions[0].header.get("study", "study"))), who=who)]
     for name, question in questions.items():
-        if not factors:
+        if planned or not factors:
             continue
         groups = _between(sessions)
         every = [*factors, *groups]
@@ -149,4 +155,4 @@ def r_script(
                                  star=" * ".join(quoted), first=quoted[0], first_plain=_quoted(factors[0]),
                                  first_quoted=f'"{_quoted(factors[0])}"', block=only)
             )  # fmt: skip
-    return "".join([*parts, _CHOICES if choices else ""])
+    return "".join([*parts, planned, _CHOICES if choices else ""])

@@ -14,6 +14,7 @@ from analysis.comparisons import pair_table, with_winner
 from analysis.csv_export import export_csv
 from tests.analysis.fabricate import demo_study
 
+OWN_EFFECTS = ["(1|participant)", "(1|participant:condition)", "(1|participant:scene)"]
 SAVE = """source("analysis.R")
 for (name in names(results)) {
   table <- results[[name]]
@@ -79,7 +80,7 @@ def test_pairs_and_friedman_are_those_of_r(r_tables: tuple[pd.DataFrame, dict[st
 def test_mixed_model_is_that_of_lmertest(r_tables: tuple[pd.DataFrame, dict[str, pd.DataFrame]]) -> None:
     trials, made = r_tables
     theirs = made["smooth-mixed-model"]
-    ours = analysis.linear_mixed(rated(trials), "rating_smooth ~ condition * scene", random="(1|participant)")
+    ours = analysis.linear_mixed(rated(trials), "rating_smooth ~ condition * scene", random=OWN_EFFECTS)
     ours = ours.set_index("term").loc[theirs.index]
     # lme4's optimiser stops at 1e-6 or so of the variances
     np.testing.assert_allclose(theirs["Estimate"], ours["estimate"], rtol=1e-6, atol=1e-9)
