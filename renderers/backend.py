@@ -11,6 +11,8 @@ import os
 import re
 import shutil
 import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -51,7 +53,7 @@ import mitsuba  # noqa: E402
 dr: Any = drjit  # their types depend on the variant, so their stubs can only describe one
 mi: Any = mitsuba
 
-__all__ = ["activate", "dr", "is_cuda", "mi", "newest_llvm"]
+__all__ = ["activate", "cores_for_numba", "dr", "is_cuda", "mi", "newest_llvm"]
 
 _VARIANTS = {"cuda": "cuda_ad_rgb", "llvm": "llvm_ad_rgb"}
 
@@ -80,3 +82,21 @@ def activate(device: str = "auto") -> str:
 def is_cuda() -> bool:
     """Whether the variant in use runs on a GPU."""
     return str(mi.variant()).startswith("cuda")
+
+
+@contextmanager
+def cores_for_numba() -> Iterator[None]:
+    """Inside, Dr.Jit's kernels are done and it has no threads beside the caller's: between kernels they would spin on
+    the cores that a parallel numba loop wants. On two cores `span_rasteriser._draw` takes 5.1 ms so, 9.9 otherwise;
+    going and coming back take 0.15.
+    """
+    dr.sync_thread()
+    threads = dr.thread_count()
+    if threads <= 1:
+        yield
+        return
+    dr.set_thread_count(1)
+    try:
+        yield
+    finally:
+        dr.set_thread_count(threads)

@@ -15,7 +15,7 @@ from typing import Any, Literal, Protocol
 import numpy as np
 from numba import get_num_threads, njit, prange
 
-from renderers.backend import dr, mi
+from renderers.backend import cores_for_numba, mi
 from renderers.frozen import aligned
 from renderers.gl.context import FLOATS_A_VERTEX, NEAR, MeshRasteriser, Stage, unmeasured
 
@@ -211,12 +211,12 @@ class SpanRasteriser:
         width, height = self.size_px
         host = vertices.numpy().reshape(-1, FLOATS_A_VERTEX)
         triangles = indices.reshape(-1, 3)
-        _place_vertices(host, width, height, NEAR, self._placed)
-        parts = _clipped(host, triangles, self._placed, width, height, NEAR)
-        dr.sync_thread()  # kernels that read the last result are done before it is written over
         place = self._place_px.reshape(height, width, 2)
         depth = self._depth_values.reshape(height, width)
-        _draw(self._placed, triangles, parts, NEAR, 2 * get_num_threads(), place, depth)
+        with cores_for_numba():  # kernels that read the last result are done before it is written over
+            _place_vertices(host, width, height, NEAR, self._placed)
+            parts = _clipped(host, triangles, self._placed, width, height, NEAR)
+            _draw(self._placed, triangles, parts, NEAR, 2 * get_num_threads(), place, depth)
         return mi.Float(self._place_px), mi.Float(self._depth_values)
 
     def close(self) -> None:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from renderers.backend import activate, mi
+from renderers.backend import activate, dr, mi
 from renderers.engine import Engine
+from renderers.foveated import span_rasteriser
 from renderers.foveated.span_rasteriser import SpanRasteriser, make_rasteriser
 from renderers.foveated.technique import Foveated
 from renderers.gl.context import NEAR, MeshRasteriser
@@ -155,3 +156,28 @@ def test_what_crossing_to_opengl_costs_is_measured(choice: str) -> None:
     assert ("crossing" in seconds) == (choice == "moderngl")
     assert seconds.get("crossing", 1.0) > 1e-5
     assert 0.5 * total < sum(seconds.values()) <= total
+
+
+def test_drjits_threads_make_way_for_the_rasteriser_and_come_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    before, seen, draw = dr.thread_count(), [], span_rasteriser._draw
+
+    def watched(*arguments: object) -> None:
+        seen.append(dr.thread_count())
+        draw(*arguments)
+
+    monkeypatch.setattr(span_rasteriser, "_draw", watched)
+    x, y, w = shaken(0)
+    vertices = mesh(x, y, w, np.zeros((x.size, 2)))
+    try:
+        for threads in (3, 1):
+            dr.set_thread_count(threads)
+            drawn(SpanRasteriser, vertices, grid(9, 8))
+            assert dr.thread_count() == threads
+        monkeypatch.setattr(span_rasteriser, "_draw", None)
+        dr.set_thread_count(3)
+        with pytest.raises(TypeError):
+            drawn(SpanRasteriser, vertices, grid(9, 8))
+        assert dr.thread_count() == 3
+    finally:
+        dr.set_thread_count(before)
+    assert seen == [1, 1]
