@@ -33,7 +33,7 @@ class Interrupted:
 
 
 def session_paths(folder: Path, study: str, participant: int) -> list[Path]:
-    """The participant's session files of this study, oldest run first."""
+    """Session files of the slot ``participant`` in this study, oldest first."""
     pattern = re.compile(re.escape(f"{study}_p{participant}_") + r"(\d+)\.sqlite")
     found = [(int(match[1]), path) for path in folder.glob("*.sqlite") if (match := pattern.fullmatch(path.name))]
     return [path for _, path in sorted(found)]
@@ -51,11 +51,11 @@ def unfinished(path: Path) -> bool:
     return "plan" in header and not header.get("completed_utc")
 
 
-def next_session_path(folder: Path, study: str, participant: int) -> tuple[Path, int]:
-    """Where a new run goes, and its number (1, 2, ...)."""
+def next_session_path(folder: Path, study: str, participant: int) -> Path:
+    """Where a new session of the slot goes."""
     runs = [int(path.stem.rpartition("_")[2]) for path in session_paths(folder, study, participant)]
     run = max(runs, default=0) + 1
-    return folder / f"{study}_p{participant}_{run}.sqlite", run
+    return folder / f"{study}_p{participant}_{run}.sqlite"
 
 
 def interrupted(path: Path, protocol_sha256: str) -> Interrupted:

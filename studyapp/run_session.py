@@ -18,6 +18,7 @@ from studyapp.gaze.before_session import check_gaze
 from studyapp.inclusion import answers_about_self
 from studyapp.lab_file import Lab, find_lab
 from studyapp.manifest_source import Manifests
+from studyapp.person_code import person_code
 from studyapp.present.frame_loop import ask_realtime, children_stay_normal, leave_realtime, set_aside
 from studyapp.resume import session_paths, unfinished
 from studyapp.session import SessionStopped, Sources
@@ -50,9 +51,10 @@ def run_session(request: RunRequest) -> RunDone:
     observer_kind = "simulated" if request.simulated else "person"
     before = None
     if request.resume:
-        before = interrupted_session(request.data, study, request.participant, text, observer_kind)
-    about = {}
+        before = interrupted_session(request.data, study, request.participant, request.code, text, observer_kind)
+    about, person = {}, ("", 0)
     if before is None:
+        person = person_code(request.data, study.study, request.participant, request.code, request.simulated)
         about = answers_about_self(study, request.simulated, request.about, request.overrides)
     require_space(request.data, study, trials)
     earlier = session_paths(request.data, study.study, request.participant)
@@ -108,8 +110,8 @@ def run_session(request: RunRequest) -> RunDone:
         for override in used:
             print(f"note: {override['check']} is overridden: {override['reason']}", file=sys.stderr)
         prepared = Prepared(
-            study, text, trials, lab, before, about, display, certificate, tuple(used), measured, sources, new_clips,
-            devices, calibration.record, budget, tuple(warnings),
+            study, text, trials, lab, before, about, person, display, certificate, tuple(used), measured, sources,
+            new_clips, devices, calibration.record, budget, tuple(warnings),
         )  # fmt: skip
         stack.enter_context(set_aside())
         try:

@@ -46,8 +46,9 @@ def require_space(folder: Path, study: Study, trials: Sequence[Trial]) -> None:
         raise InputError(problem(folder, "free space", f"{free / 1e6:.0f} MB", wanted))
 
 
-def interrupted_session(folder: Path, study: Study, participant: int, text: str, kind: str) -> Interrupted:
-    """The participant's newest session, to go on with. InputError: none, complete, of another protocol or observer."""
+def interrupted_session(folder: Path, study: Study, participant: int, code: str, text: str, kind: str) -> Interrupted:
+    """The slot's newest session, to go on with. InputError: none, complete, of another protocol, observer or (where a
+    ``code`` is given) person."""
     paths = session_paths(folder, study.study, participant)
     if not paths:
         where = folder / f"{study.study}_p{participant}_*.sqlite"
@@ -56,6 +57,9 @@ def interrupted_session(folder: Path, study: Study, participant: int, text: str,
     if before.header["observer_kind"] != kind:
         wanted = f"the {before.header['observer_kind']} observer it was begun with"
         raise InputError(problem(before.path, "observer", kind, wanted))
+    if code and before.header["participant"] != code:
+        wanted = f"the person it was begun with ({before.header['participant']})"
+        raise InputError(problem(before.path, "--code", code, wanted))
     return before
 
 

@@ -38,11 +38,11 @@ def run_course(request: RunRequest, ready: Prepared) -> RunDone:
     seed = study.seed if request.seed is None else request.seed
     progress = Progress()
     if before is None:
-        path, run = next_session_path(request.data, study.study, request.participant)
+        path = next_session_path(request.data, study.study, request.participant)
     else:
         _mend(before, kind)
         again = interrupted(before.path, sha256_text(ready.text))
-        path, run, progress, trials = before.path, int(before.header["run"]), again.progress, before.plan
+        path, progress, trials = before.path, again.progress, before.plan
         seed = int(before.header["seed"])
     log = DurableLog(path, devices.streams, flip_seconds=STREAM_RING_FLIP_S, markers=request.markers)
     try:
@@ -51,7 +51,7 @@ def run_course(request: RunRequest, ready: Prepared) -> RunDone:
             respondent = _simulated(study, request.participant, seed, devices)
         if before is None:
             header = session_header(
-                study, ready.text, request.participant, run, trials, seed, observer_kind=kind,
+                study, ready.text, request.participant, *ready.person, trials, seed, observer_kind=kind,
                 observer=f"{respondent.name} through {devices.answers.name}", certificate=ready.certificate,
                 lab=ready.lab, overrides=ready.overrides,
             )  # fmt: skip

@@ -78,11 +78,12 @@ def git_commit() -> str | None:
 
 
 def session_header(
-    study: Study, protocol_text: str, participant: int, run: int, plan: Sequence[Trial], seed: int, *,
+    study: Study, protocol_text: str, slot: int, code: str, run: int, plan: Sequence[Trial], seed: int, *,
     observer_kind: str, observer: str, certificate: Certificate, lab: Lab, overrides: Sequence[Mapping[str, str]] = (),
     provenance: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:  # fmt: skip
-    """All keys of a new session. ``provenance``: software, machine and git_commit, where they are known already."""
+    """All keys of a new session. ``code``: the person's, ``run`` the number of their session. ``provenance``: software,
+    machine and git_commit, where they are known already."""
     known = provenance or here_and_now()
     return {
         "schema_version": SCHEMA_VERSION,
@@ -91,7 +92,8 @@ def session_header(
         "protocol_sha256": sha256_text(protocol_text),
         "lab_text": lab.text,
         "lab_sha256": lab.sha256,
-        "participant": str(participant),
+        "participant": code,
+        "slot": slot,
         "run": run,
         "observer_kind": observer_kind,
         "observer": observer,
@@ -105,7 +107,11 @@ def session_header(
         "analysis_plan": study.analysis_plan(),
         "conditions": {name: c.model_dump(mode="json") for name, c in study.all_conditions().items()},
         "plan": [trial.as_dict() for trial in plan],
-        "group": group_of(study, participant),
+        "recruitment": {
+            "target": study.participants.target,
+            "replace_excluded": study.participants.replace_excluded,
+        },
+        "group": group_of(study, slot),
         "match": [match.model_dump(mode="json") for match in study.match],
         **known,
     }

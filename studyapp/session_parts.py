@@ -24,10 +24,11 @@ from studyapp.stored_sources import StoredSources
 
 @dataclass(frozen=True)
 class RunRequest:
-    """What the command line asks for."""
+    """What the command line asks for. ``participant``: the slot; ``code``: the person's, '' for the slot's number."""
 
     protocol: str
     participant: int
+    code: str = ""
     display: str | None = None
     monitor: int | None = None
     simulated: bool = False
@@ -55,7 +56,7 @@ class RunDone:
 
 @dataclass(frozen=True)
 class Prepared:
-    """All parts of a session, checked and ready."""
+    """All parts of a session, checked and ready. ``person``: code, and number of their session."""
 
     study: Study
     text: str
@@ -63,6 +64,7 @@ class Prepared:
     lab: Lab
     before: Interrupted | None
     about: Mapping[str, str]
+    person: tuple[str, int]
     display: Display
     certificate: Certificate
     overrides: tuple[dict[str, str], ...]

@@ -17,6 +17,7 @@ from studyapp.display.certificate import certify
 from studyapp.display.virtual_display import VirtualDisplay
 from studyapp.lab_file import Lab
 from studyapp.manifest_source import Manifests
+from studyapp.person_code import person_code
 from studyapp.picture_errors import PictureErrors, ShownFrames, judged
 from studyapp.present.presenter import Presenter
 from studyapp.resume import next_session_path
@@ -82,7 +83,8 @@ class Simulation:
         if self._pictures is not None:
             trials = self._pictures.planned(trials)
         display = VirtualDisplay(study.display.size_px, Fraction(study.display.refresh_hz))
-        path, run = next_session_path(folder, study.study, participant)
+        code, run = person_code(folder, study.study, participant, "", simulated=True)
+        path = next_session_path(folder, study.study, participant)
         log = DirectLog(path)
         try:
             presses = DirectPresses(display.now_ns)
@@ -101,6 +103,7 @@ class Simulation:
                     study,
                     self._text,
                     participant,
+                    code,
                     run,
                     trials,
                     self._seed,

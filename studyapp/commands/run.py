@@ -17,6 +17,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     parser.add_argument("protocol", help="a protocol file, or the name of a shipped one")
     parser.add_argument("--participant", type=int, required=True, metavar="N", help="slot number, from 1")
+    parser.add_argument("--code", default="", metavar="CODE",
+                        help="the person's code, letters and digits (default: the slot's number); who replaces "
+                        "somebody runs the same slot under a code of their own")  # fmt: skip
     parser.add_argument("--display", choices=("glfw", "offscreen", "virtual"), default=None, help="default: the lab's")
     parser.add_argument("--monitor", type=int, default=None, help="fullscreen on this monitor (default: the lab's)")
     parser.add_argument("--observer", choices=("keyboard", "simulated"), default="keyboard",
@@ -46,10 +49,10 @@ def run(args: argparse.Namespace) -> int:
     from studyapp.session_parts import RunRequest
 
     request = RunRequest(
-        protocol=args.protocol, participant=args.participant, display=args.display, monitor=args.monitor,
-        simulated=args.observer == "simulated", resume=args.resume, data=args.data, store=args.store, lab=args.lab,
-        seed=args.seed, overrides=pairs("--override", args.override), about=pairs("--about", args.about),
-        markers=args.markers, pids=args.pids, realtime=args.realtime,
+        protocol=args.protocol, participant=args.participant, code=args.code, display=args.display,
+        monitor=args.monitor, simulated=args.observer == "simulated", resume=args.resume, data=args.data,
+        store=args.store, lab=args.lab, seed=args.seed, overrides=pairs("--override", args.override),
+        about=pairs("--about", args.about), markers=args.markers, pids=args.pids, realtime=args.realtime,
     )  # fmt: skip
     done = run_session(request)
     print(f"{done.path}: {done.presentations} presentations, {done.answers} answers; complete")

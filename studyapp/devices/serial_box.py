@@ -37,7 +37,8 @@ class SerialBox:
         # Boxes without a clock: 0.09 ms at 115200 baud, 0.52 ms at 19200.
         self._on_its_way_ns = 0 if self._start_stop is None else byte_ns(self._baud)
         try:
-            self._line = serial.Serial(spec.port, self._baud, timeout=0, write_timeout=0.5)
+            write_limit_s = max(0.5, silence_limit_s(spec))
+            self._line = serial.Serial(spec.port, self._baud, timeout=0, write_timeout=write_limit_s)
         except (serial.SerialException, OSError, ValueError) as error:
             raise DeviceGone(f"{spec.port}: cannot be opened ({error})") from error
         self.descriptor: int | None = self._line.fileno()
