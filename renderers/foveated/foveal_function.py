@@ -26,23 +26,3 @@ def picture_probability(
     """(H, W) probabilities of a picture's pixels."""
     plane = eye_plane(size_px, yfov_rad, geometry, gaze)
     return sampling_probability(picture_eccentricity_deg(plane, size_px), params)
-
-
-def share_below_full_rate(
-    params: Foveated, size_px: tuple[int, int], yfov_rad: float, geometry: ViewGeometry | None = None,
-    gaze: Gaze | None = None,
-) -> float:  # fmt: skip
-    """The share of a picture's pixels that are traced less often than in every frame, in [0, 1]."""
-    return float(np.mean(picture_probability(params, size_px, yfov_rad, geometry, gaze) < 1))
-
-
-def share_that_differs(
-    first: Foveated, second: Foveated, size_px: tuple[int, int], yfov_rad: float,
-    geometry: ViewGeometry | None = None, gaze: Gaze | None = None,
-) -> float:  # fmt: skip
-    """The share of a frame's samples in which two configurations are expected to differ: the mean of |p_1 - p_2|.
-
-    Full ray tracing is ``Foveated(configuration='full')``.
-    """
-    one = picture_probability(first, size_px, yfov_rad, geometry, gaze)
-    return float(np.mean(np.abs(one - picture_probability(second, size_px, yfov_rad, geometry, gaze))))

@@ -9,7 +9,7 @@ import pytest
 from pydantic import ValidationError
 
 from renderers import render_clip
-from renderers.foveated.foveal_function import sampling_probability, share_below_full_rate, share_that_differs
+from renderers.foveated.foveal_function import picture_probability, sampling_probability
 from renderers.parameters import Foveated
 from renderers.technique import ViewGeometry
 from stimuli import load_scene
@@ -70,14 +70,11 @@ def test_errors_are_one_line_that_says_what_was_wanted(params: dict, line: str) 
     assert "\n" not in str(caught.value).strip()
 
 
-def test_shares_at_a_display() -> None:
+def test_a_display_sees_the_fovea_as_a_circle_on_its_plane() -> None:
     near, far = ViewGeometry(1.0, 1.0, 0.5), ViewGeometry(0.1, 0.1, 1.0)
-    medium, full = Foveated(), Foveated(configuration="full")
     # a circle of tan(10 deg) * 0.5 m on a square metre
     inside = math.pi * (0.5 * math.tan(math.radians(10))) ** 2
-    assert share_below_full_rate(medium, (400, 400), 1.0, near) == pytest.approx(1 - inside, abs=2e-3)
-    assert share_below_full_rate(medium, (400, 400), 1.0, far) == 0
-    assert share_below_full_rate(full, (40, 40), 1.0, near) == 0
-    assert share_that_differs(medium, full, (40, 40), 1.0, far) == 0
-    assert share_that_differs(medium, full, (40, 40), 1.0, near) > 0.7
-    assert share_that_differs(medium, medium, (40, 40), 1.0, near) == 0
+    at_full_rate = picture_probability(Foveated(), (400, 400), 1.0, near) == 1
+    assert at_full_rate.mean() == pytest.approx(inside, abs=2e-3)
+    assert (picture_probability(Foveated(), (400, 400), 1.0, far) == 1).all()
+    assert (picture_probability(Foveated(configuration="full"), (40, 40), 1.0, near) == 1).all()
