@@ -137,6 +137,7 @@ planned_glmm <- function(own, formula, factors) {
 planned_scale <- function(chosen, link = "logit", unit = 1) {
   items <- sort(unique(c(chosen$winner, chosen$loser)), method = "radix")
   x <- sapply(items, function(item) (chosen$winner == item) - (chosen$loser == item))
+  x <- matrix(x, nrow = nrow(chosen))
   # separated answers (a warning, a huge value) and unconnected items (NA) have no finite value
   fit <- glm(rep(1, nrow(chosen)) ~ 0 + x[, -1, drop = FALSE], family = binomial(link))
   data.frame(item = items, value = c(0, unname(coef(fit))) / unit)

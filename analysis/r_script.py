@@ -17,8 +17,14 @@ suppressPackageStartupMessages({{
   library(afex)
 }})
 results <- list()  # every table of this script by name
+not_made <- function(error) {{
+  cat("not made:", conditionMessage(error), "\\n")
+  NULL
+}}
 keep <- function(name, table) {{
   cat("\\n==", name, "\\n")
+  table <- tryCatch(table, error = not_made)  # too few participants, say: the tables after it are still made
+  if (is.null(table)) return(invisible())
   print(table)
   results[[name]] <<- table
 }}
@@ -30,6 +36,7 @@ trials$participant <- factor(trials$participant)
 """
 _QUESTION = """
 # ---- {name}: {text}
+tryCatch({{
 rated <- trials[!is.na(trials[["{dv}"]]), ]
 {block}rated$dv <- as.numeric(rated[["{dv}"]])
 {factors}
@@ -63,12 +70,14 @@ for (factor in c({within})) if (max(table(rated$participant, rated[[factor]])) >
   random <- paste0(random, " + (1 | participant:`", factor, "`)")
 mixed <- lmerTest::lmer(as.formula(paste("dv ~ {star} +", random)), rated)
 keep("{name}: mixed model", as.data.frame(coef(summary(mixed))))
+}}, error = not_made)
 """
 _CHOICES = """
 # ---- choices, block by block: Bradley-Terry as a logistic regression without intercept, one column a condition
 bradley_terry <- function(chosen) {
   items <- sort(unique(c(chosen$winner, chosen$loser)), method = "radix")
   x <- sapply(items, function(item) (chosen$winner == item) - (chosen$loser == item))
+  x <- matrix(x, nrow = nrow(chosen))
   # separated answers (a warning, a huge value) and unconnected items (NA) have no finite ability
   fit <- glm(rep(1, nrow(chosen)) ~ 0 + x[, -1, drop = FALSE], family = binomial)
   # model-based errors: the report's are over participants, and wider where they differ
