@@ -150,7 +150,8 @@ def test_a_killed_process_loses_no_committed_trial_and_resume_completes_each_cel
     before = completed_cells(path)
     db = sqlite3.connect(path)
     # What was shown is on record with the trial that showed it: every pair has two clips.
-    shown = len(db.execute("SELECT DISTINCT panels FROM trials WHERE panels != '[]'").fetchall())
+    panels = "SELECT DISTINCT panels FROM trials WHERE panels != '[]'"
+    shown = len(db.execute(panels).fetchall()) if has_table(db, "trials") else 0  # none yet on a machine that is slow
     known = db.execute("SELECT COUNT(*) FROM clips").fetchone()[0] if has_table(db, "clips") else 0
     db.close()
     assert known >= min(2, 2 * shown)
