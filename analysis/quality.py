@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from analysis.comparisons import with_winner
+from analysis.comparisons import choice_row, with_winner
 from analysis.sessions import Session
 from analysis.within_means import one_sample
 
@@ -53,13 +53,19 @@ def _slot_effect(own: pd.DataFrame, what: str) -> dict[str, object]:
     slot = next((name for name in ("right", "second") if name in slots), slots[-1])
     shares = (own["side"] == slot).groupby(own["participant"], sort=False).mean()
     panels = int(max(1 + own["condition"].astype(str).str.count(r"\|").max(), 2))
+    if len(shares) == len(own):
+        # one answer a participant: the exact test, whose interval stays a share
+        found = choice_row(own.assign(chosen=(own["side"] == slot).astype(float)), 1.0 / panels)
+        row: dict[str, object] = {"effect": what, "measure": f"share of '{slot}'", "expected": 1.0 / panels}
+        row |= {"n": len(own), "mean": found["share"], "ci_low": found["exact_low"], "ci_high": found["exact_high"]}
+        return row | {name: found[name] for name in ("t", "df", "p", "status", "note")}
     return _row(what, f"share of '{slot}'", shares.to_numpy(dtype=float), 1.0 / panels)
 
 
 def _repeat_effect(own: pd.DataFrame, what: str) -> dict[str, object]:
     """How much more often the previous slot is chosen again than the participant's own slot shares predict."""
     excess = []
-    for _, mine in own.sort_values("trial").groupby("participant", sort=False):
+    for _, mine in own.sort_values(["session", "trial"]).groupby("participant", sort=False):
         side = mine["side"].to_numpy(dtype=object)
         if len(side) < 3:
             continue
@@ -145,7 +151,7 @@ def _by_person(
     table: pd.DataFrame, values: pd.Series, measure: Callable[[np.ndarray, np.ndarray], float]
 ) -> list[float]:
     found = []
-    for _, rows in table.sort_values("trial").groupby("participant", sort=False):
+    for _, rows in table.sort_values(["session", "trial"]).groupby("participant", sort=False):
         found.append(measure(rows["trial"].to_numpy(dtype=float), values[rows.index].to_numpy(dtype=float)))
     return found
 

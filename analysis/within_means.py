@@ -56,7 +56,7 @@ def one_sample(values: Sequence[float] | np.ndarray, against: float, level: floa
     x = x[np.isfinite(x)]
     nan = float("nan")
     row: dict[str, object] = {"n": len(x), "mean": float(x.mean()) if len(x) else nan, "ci_low": nan, "ci_high": nan}
-    row |= {"t": nan, "df": len(x) - 1, "p": nan}
+    row |= {"t": nan, "df": len(x) - 1 if len(x) > 1 else nan, "p": nan}
     if len(x) < 2:
         return row | {"status": "too_few_subjects", "note": f"{len(x)} participant(s) with a number, 2 needed"}
     sd = float(np.std(x - x[0], ddof=1))

@@ -61,3 +61,14 @@ def test_a_participant_without_a_cell_leaves_the_interval_but_not_the_mean() -> 
     assert cells.loc["a", "n"] == 3
     assert cells.loc["a", "mean"] == pytest.approx(4.0)
     assert np.isfinite(cells.loc["a", "ci_low"])
+
+
+def test_one_answer_a_participant_is_tested_exactly() -> None:
+    sides = ["second"] * 6 + ["first"]
+    table = pd.DataFrame({"participant": list("abcdefg"), "side": sides, "kind": "two_interval", "condition": "x|y"})
+    table = table.assign(session=table["participant"], trial=0, winner=None, rating=np.nan, rt_s=np.nan, block="b")
+    found = response_effects(table, []).set_index("effect").loc["interval"]
+    assert found["p"] == pytest.approx(16 / 128)
+    assert 0 < found["ci_low"] < 0.5 < found["mean"] < found["ci_high"] < 1
+    assert np.isnan(found["df"])
+    assert np.isnan(one_sample([0.5], 0.5)["df"])
