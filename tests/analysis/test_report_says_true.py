@@ -77,7 +77,9 @@ def test_a_slower_later_block_is_no_fatigue() -> None:
             base = 0.5 if trial < 20 else 2.0
             rows.append((str(person), trial, "a" if trial < 20 else "b", base * float(np.exp(rng.normal(0, 0.2)))))
     kept = pd.DataFrame(rows, columns=["participant", "trial", "block", "rt_s"])
-    kept = kept.assign(side=None, rating=np.nan, winner=None, loser=None, kind="likert", condition="x", scene="s")
+    kept = kept.assign(
+        side=None, session="s", rating=np.nan, winner=None, loser=None, kind="likert", condition="x", scene="s"
+    )
     found = response_effects(kept, []).set_index("effect").loc["practice or fatigue"]
     assert found["p"] > 0.01
     assert abs(found["mean"]) < 1.0  # pooled over blocks it was 5 log seconds in 100 trials
