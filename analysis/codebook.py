@@ -9,6 +9,7 @@ from analysis.sessions import Session
 
 _MEANINGS: dict[str, tuple[str, str]] = {
     "participant": ("code of the participant", ""),
+    "slot": ("slot of the design: order, sides, keys and group", ""),
     "run": ("number of the session of this participant", ""),
     "group": ("between-participants group of the design", ""),
     "session": ("name of the session file", ""),

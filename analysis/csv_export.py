@@ -71,6 +71,7 @@ def participants_table(sessions: Sequence[Session], exclusions: Exclusions) -> p
         row["observer"] = session.header.get("observer")
         row["group"] = group_text(session.header)
         row["keys"] = key_mapping(session)
+        row["slot"] = session.slot
         row["sessions"] = int(row.get("sessions", 0)) + 1
         row.setdefault("started_utc", session.header.get("started_utc"))
         row |= {f"self_{name}": value for name, value in read_self_answers(session).items()}

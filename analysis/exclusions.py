@@ -194,17 +194,21 @@ def _one_answer_rule(table: pd.DataFrame, rule: Rule, sessions: Sequence[Session
     return found
 
 
-def _gaze_failures(sessions: Sequence[Session], table: pd.DataFrame, rule: Rule) -> list[tuple[str, int | None, str]]:
-    """(participant, trial or None for all of them, reason) of every gaze rule that is broken."""
+Failure = tuple[str, tuple[str, int] | None, str]
+"""(participant, session and trial or None for all of them, reason)"""
+
+
+def _gaze_failures(sessions: Sequence[Session], table: pd.DataFrame, rule: Rule) -> list[Failure]:
+    """Every gaze rule that is broken."""
     from analysis.gaze import gaze_report
 
     gaze = gaze_report(sessions, table)
     if gaze is None:
         return []
     rows = gaze.trials if rule.of == "trial" else gaze.participants
-    failures: list[tuple[str, int | None, str]] = []
+    failures: list[Failure] = []
     for row in rows_of_table(rows):
-        trial = int(row.trial) if rule.of == "trial" else None
+        trial = (str(row.session), int(row.trial)) if rule.of == "trial" else None
         if rule.name == "gaze_loss" and 1.0 - row.valid_share > rule.limit:
             said = f"{1.0 - row.valid_share:.0%} of the gaze samples lost, {rule.limit:.0%} allowed"
             failures.append((row.participant, trial, said))
@@ -236,8 +240,8 @@ def apply_exclusions(table: pd.DataFrame, rules: Sequence[Rule], sessions: Seque
                 if trial is None:
                     out.setdefault(participant, why)
                 else:
-                    hit = (table["participant"] == participant) & (table["trial"] == trial) & (table["reason"] == "")
-                    table.loc[hit, "reason"] = why
+                    own = (table["session"] == trial[0]) & (table["trial"] == trial[1])
+                    table.loc[own & (table["reason"] == ""), "reason"] = why
     for participant, why in out.items():
         hit = (table["participant"] == participant) & (table["reason"] == "")
         table.loc[hit, "reason"] = "participant excluded: " + why

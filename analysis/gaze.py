@@ -141,7 +141,7 @@ def gaze_report(
     trials: list[tuple] = []
     seen: dict[str, list[np.ndarray]] = {}
     for session in sessions:
-        usable = set(table.loc[(table["participant"] == session.participant) & (table["status"] == "ok"), "trial"])
+        usable = set(table.loc[(table["session"] == session.path.stem) & (table["status"] == "ok"), "trial"])
         per_device: dict[str, list[tuple[np.ndarray, np.ndarray, float]]] = {}
         paths = target_paths(session)
         flips = read_flips(session) if paths else {}
@@ -157,7 +157,9 @@ def gaze_report(
                 distance = distance[np.isfinite(distance)]
             error = float(np.median(distance)) if distance.size else float("nan")
             share = len(valid) / len(samples)
-            trials.append((session.participant, row.trial, row.condition, mode, len(samples), share, error))
+            trials.append(
+                (session.participant, session.path.stem, row.trial, row.condition, mode, len(samples), share, error)
+            )
             per_device.setdefault(device, []).append((samples, distance, _rms_step_dva(samples)))
             seen.setdefault(mode, []).append(np.stack([valid["x_dva"], valid["y_dva"]], axis=1))
         for device, parts in per_device.items():
@@ -165,7 +167,7 @@ def gaze_report(
         progress()
     if not people:
         return None
-    columns = ["participant", "trial", "condition", "fixation", "samples", "valid_share", "error_dva"]
+    columns = ["participant", "session", "trial", "condition", "fixation", "samples", "valid_share", "error_dva"]
     maps = _heat_maps({mode: np.concatenate(parts) for mode, parts in seen.items()})
     return Gaze(pd.DataFrame(people, columns=QUALITY_COLUMNS), pd.DataFrame(trials, columns=columns), maps)
 

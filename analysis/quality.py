@@ -62,10 +62,15 @@ def _slot_effect(own: pd.DataFrame, what: str) -> dict[str, object]:
     return _row(what, f"share of '{slot}'", shares.to_numpy(dtype=float), 1.0 / panels)
 
 
+def _in_order(table: pd.DataFrame) -> pd.DataFrame:
+    """Rows as they were shown: trials are numbered by session, and a participant may have several."""
+    return table.sort_values([name for name in ("session", "trial") if name in table])
+
+
 def _repeat_effect(own: pd.DataFrame, what: str) -> dict[str, object]:
     """How much more often the previous slot is chosen again than the participant's own slot shares predict."""
     excess = []
-    for _, mine in own.sort_values(["session", "trial"]).groupby("participant", sort=False):
+    for _, mine in _in_order(own).groupby("participant", sort=False):
         side = mine["side"].to_numpy(dtype=object)
         if len(side) < 3:
             continue
@@ -151,7 +156,7 @@ def _by_person(
     table: pd.DataFrame, values: pd.Series, measure: Callable[[np.ndarray, np.ndarray], float]
 ) -> list[float]:
     found = []
-    for _, rows in table.sort_values(["session", "trial"]).groupby("participant", sort=False):
+    for _, rows in _in_order(table).groupby("participant", sort=False):
         found.append(measure(rows["trial"].to_numpy(dtype=float), values[rows.index].to_numpy(dtype=float)))
     return found
 

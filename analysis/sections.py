@@ -19,6 +19,7 @@ from analysis.plan import catch_table
 from analysis.plan_tests import FEW_SCENES
 from analysis.planned_test import Plan, Result
 from analysis.protocol_facts import replication_of
+from analysis.recruitment import recruitment_words
 from analysis.registration import Comparison
 from analysis.rows import rows_of_table
 from analysis.sessions import Session, group_text
@@ -30,16 +31,22 @@ def participants_section(exclusions: Exclusions, sessions: Sequence[Session]) ->
     people = exclusions.participants.copy()
     groups = {session.participant: group_text(session.header) for session in sessions}
     people["group"] = [groups.get(person) for person in people["participant"]]
+    slots = {session.participant: str(session.slot) for session in sessions}
+    people["slot"] = [slots.get(person, "") for person in people["participant"]]
+    if (people["slot"] == people["participant"].astype(str)).all():
+        people["slot"] = ""
     blocks = [words_block(apa.reason_sentence(exclusions.reasons, people))]
+    blocks += [words_block(" ".join(said))] if (said := recruitment_words(sessions, exclusions)) else []
     rules = "; ".join(f"{rule.name} (limit {rule.limit:g}, {rule.of})" for rule in exclusions.rules)
     blocks.append(
         words_block(f"Exclusion rules of the plan: {rules or 'none beyond practice, catch and unfinished trials'}.")
     )
     columns = (
-        ("participant", "participant", "text"), ("group", "group", "text"), ("trials", "presentations", "int"),
-        ("analysed", "analysed", "int"), ("left_out", "left out", "int"), ("reason", "excluded because", "text"),
+        ("participant", "participant", "text"), ("slot", "slot", "text"), ("group", "group", "text"),
+        ("trials", "presentations", "int"), ("analysed", "analysed", "int"), ("left_out", "left out", "int"),
+        ("reason", "excluded because", "text"),
     )  # fmt: skip
-    empty = {name for name in ("group", "reason") if not people[name].fillna("").astype(str).any()}
+    empty = {name for name in ("slot", "group", "reason") if not people[name].fillna("").astype(str).any()}
     keep = tuple(column for column in columns if column[0] not in empty)
     blocks.append(table_block("participants", "Participants", people, keep))
     reasons = (("reason", "reason", "text"), ("trials", "presentations", "int"))

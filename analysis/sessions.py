@@ -78,6 +78,12 @@ class Session:
         return str(self.header["participant"])
 
     @property
+    def slot(self) -> int:
+        """The slot of the design that the participant sat in; older files know only the participant."""
+        found = self.header.get("slot", self.participant)
+        return int(found) if str(found).isdigit() else 0
+
+    @property
     def observer_kind(self) -> str:
         """'person' or 'simulated'."""
         return str(self.header["observer_kind"])
