@@ -8,7 +8,7 @@ from stimuli.camera_path import KeyedCamera
 from stimuli.procedural.shapes import Mesh, grid, matte, part, recipe_sha256
 from stimuli.scene import Light, Scene
 
-VERSION = 1
+VERSION = 2
 RINGS, SEGMENTS = 390, 200
 RADIUS_M, LENGTH_M = 2.0, 40.0
 DURATION_S = 8.0
@@ -46,12 +46,13 @@ def flight(name: str) -> KeyedCamera:
 
 
 def build() -> Scene:
-    """The scene; its light hangs still, off the axis, 6 m into the tunnel."""
+    """The scene; its light hangs still, off the axis, 6 m into the tunnel, and does not fall off with distance: the
+    flight passes it, and inverse square left the last five seconds nearly black."""
     return Scene(
         name="tunnel_geom",
         static=(part("tunnel", tunnel(), matte("clay", (0.7, 0.65, 0.6))),),
         movers=(),
-        lights=(Light("point", (18.0, 17.0, 15.0), (0.4, 0.9, -4.0), name="lamp"),),
+        lights=(Light("point", (1.05, 1.0, 0.9), (0.4, 0.9, -4.0), falloff="none", name="lamp"),),
         camera=flight("flight"),
         sha256=recipe_sha256("tunnel_geom", VERSION),
         ambient=(0.02, 0.02, 0.02),

@@ -8,7 +8,7 @@ from stimuli.procedural.shapes import Mesh, checkerboard, generator, matte, nois
 from stimuli.procedural.tunnel_geom import DURATION_S, RINGS, SEGMENTS, flight, tunnel
 from stimuli.scene import Light, Scene
 
-VERSION = 1
+VERSION = 2
 
 
 def build() -> Scene:
@@ -33,7 +33,7 @@ def build() -> Scene:
         name="tunnel_maps",
         static=tuple(parts),
         movers=(),
-        lights=(Light("point", (18.0, 17.0, 15.0), (0.4, 0.9, -4.0), name="lamp"),),
+        lights=(Light("point", (1.05, 1.0, 0.9), (0.4, 0.9, -4.0), falloff="none", name="lamp"),),
         camera=flight("flight"),
         sha256=recipe_sha256("tunnel_maps", VERSION),
         ambient=(0.02, 0.02, 0.02),

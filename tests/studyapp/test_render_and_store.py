@@ -34,7 +34,7 @@ seed: 3
 display: {refresh_hz: 240, size_px: [640, 480]}
 defaults: {size_px: [16, 12], duration_s: 1/40, warm_up_s: 1/60}
 scenes:
-  tunnel: {scene: tunnel_geom, start_s: 1}
+  tunnel: {scene: tunnel_geom, start_s: 2}
 conditions:
   gold: {technique: reference, params: {spp: 4}}
   plain: {technique: vanilla}
