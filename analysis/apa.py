@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from analysis.blocks import number, p_words
+from analysis.blocks import f_words, number, p_words
 from analysis.planned_test import Result, adjustment_name, reported_p, sphericity_corrected
 from analysis.results import BOUNDARY, TOO_FEW_SUBJECTS
 from analysis.rows import rows_of_table
@@ -169,11 +169,7 @@ def _coefficient(result: Result, row: Mapping[str, Any]) -> str:
 def _joint(result: Result) -> list[str]:
     """The type III tests of a mixed model's terms, which come before its coefficients; those of one level each."""
     tests = result.table.attrs.get("f_tests") or []
-    return [
-        f"{result.test.name}, {one['term']}: F({one['df1']:g}, {number(one['df2'], 1)}) = {number(one['F'], 2)}, "
-        f"{p_words(one['p'])} (type III)."
-        for one in tests
-    ]
+    return [f"{result.test.name}, {f_words(one)} (type III)." for one in tests]
 
 
 def _term_words(term: str, terms: pd.Series, references: Mapping[str, str]) -> str:

@@ -100,6 +100,12 @@ def p_words(p: float) -> str:
     return f"p {text}" if text[0] in "<>" else f"p = {text}"
 
 
+def f_words(test: Mapping[str, Any]) -> str:
+    """A joint test ({term, df1, df2, F, p}) in APA: 'condition: F(2, 22.0) = 4.96, p = .015'."""
+    statistic = f"F({test['df1']:g}, {number(test['df2'], 1)}) = {number(test['F'], 2)}"
+    return f"{test['term']}: {statistic}, {p_words(test['p'])}"
+
+
 def written(value: Any, form: str) -> str:
     """One cell. Forms: text, int, f1..f4 (fixed digits), p, pct0..pct2 (share as per cent), g (4 significant)."""
     if value is None:

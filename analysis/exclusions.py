@@ -208,13 +208,13 @@ def _gaze_failures(sessions: Sequence[Session], table: pd.DataFrame, rule: Rule)
     rows = gaze.trials if rule.of == "trial" else gaze.participants
     failures: list[Failure] = []
     for row in rows_of_table(rows):
-        trial = (str(row.session), int(row.trial)) if rule.of == "trial" else None
+        place = (str(row.session), int(row.trial)) if rule.of == "trial" else None
         if rule.name == "gaze_loss" and 1.0 - row.valid_share > rule.limit:
             said = f"{1.0 - row.valid_share:.0%} of the gaze samples lost, {rule.limit:.0%} allowed"
-            failures.append((row.participant, trial, said))
+            failures.append((row.participant, place, said))
         if rule.name == "gaze_off_fixation" and row.error_dva > rule.limit:
             said = f"gaze {row.error_dva:.2f} deg off the mark, {rule.limit:g} allowed"
-            failures.append((row.participant, trial, said))
+            failures.append((row.participant, place, said))
     return failures
 
 
@@ -236,11 +236,11 @@ def apply_exclusions(table: pd.DataFrame, rules: Sequence[Rule], sessions: Seque
             for participant, why in _PARTICIPANT_RULES[rule.name](table, rule, sessions).items():
                 out.setdefault(participant, why)
         elif rule.name in _EITHER:
-            for participant, trial, why in _gaze_failures(sessions, table, rule):
-                if trial is None:
+            for participant, place, why in _gaze_failures(sessions, table, rule):
+                if place is None:
                     out.setdefault(participant, why)
                 else:
-                    own = (table["session"] == trial[0]) & (table["trial"] == trial[1])
+                    own = (table["session"] == place[0]) & (table["trial"] == place[1])
                     table.loc[own & (table["reason"] == ""), "reason"] = why
     for participant, why in out.items():
         hit = (table["participant"] == participant) & (table["reason"] == "")

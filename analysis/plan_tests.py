@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 import analysis
-from analysis.blocks import p_words
+from analysis.blocks import f_words
 from analysis.comparisons import adaptive_level, choice_row
 from analysis.planned_test import Plan, Test, column_of
 from analysis.results import TOO_FEW_SUBJECTS
@@ -221,10 +221,7 @@ def _linear_mixed(own: pd.DataFrame, dv: str, test: Test, plan: Plan) -> pd.Data
     formula = formula_of(dv, test)
     random = random_terms(own, test, formula)
     table = analysis.linear_mixed(own, formula, random=random, variances="unbounded")
-    joint = [
-        f"{one['term']}: F({one['df1']:g}, {one['df2']:.1f}) = {one['F']:.2f}, {p_words(one['p'])}."
-        for one in table.attrs.get("f_tests") or []
-    ]
+    joint = [f"{f_words(one)}." for one in table.attrs.get("f_tests") or []]
     table.attrs["notes"] = [*(table.attrs.get("notes") or []), *joint]
     return table
 

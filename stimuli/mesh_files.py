@@ -34,6 +34,7 @@ def read_mesh(path: Path) -> MeshContent:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             loaded: Any = trimesh.load(path, process=False, force="scene")
+    # trimesh has no error of its own for a broken file: its readers let through what they stumble over.
     except (ValueError, KeyError, IndexError, TypeError, AttributeError, NotImplementedError, OSError) as error:
         raise InputError(problem(path, "broken mesh", _line(error), f"a {path.suffix[1:].upper()} file")) from error
     content = MeshContent()

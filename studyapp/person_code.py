@@ -18,8 +18,6 @@ from stimuli.errors import InputError, problem
 from studyapp.resume import session_paths
 
 _CODE = re.compile(r"[A-Za-z0-9]{1,20}")
-
-
 _KEYS = ("participant", "slot", "observer_kind", "completed_utc", "plan")
 
 

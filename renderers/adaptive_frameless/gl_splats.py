@@ -15,8 +15,7 @@ import numpy as np
 from renderers.adaptive_frameless import buffers as c
 from renderers.adaptive_frameless.buffers import Buffers
 from renderers.adaptive_frameless.splats import Filter, Scenery
-from renderers.gl.context import standalone_context
-from stimuli.errors import InputError, problem
+from renderers.gl.context import context_for
 
 REBASE_S = 64.0
 """Sample times on the card are float32 seconds after a base that moves this often: 4 us apart at most."""
@@ -31,11 +30,7 @@ class GlSplats:
 
     def __init__(self, size_px: tuple[int, int], kept: int) -> None:
         self.size_px = size_px
-        try:
-            self.gl = standalone_context()
-        except Exception as error:  # moderngl raises nothing narrower
-            wanted = "an EGL driver (Debian: apt-get install libegl1 libgl1-mesa-dri), or splats: numba"
-            raise InputError(problem("adaptive_frameless", "splats by moderngl", error, wanted)) from error
+        self.gl = context_for("adaptive_frameless", "splats")
         folder = files("renderers.adaptive_frameless")
         with self.gl:
             self._program: Any = self.gl.program(  # uniforms by name: their kinds are not told apart in its types

@@ -24,7 +24,6 @@ NEAR = 1e-3
 FLOATS_A_VERTEX = 8
 INDICES_A_CELL = 6
 
-
 Stage = Callable[[str], AbstractContextManager[object]]
 """Measures what runs inside under a name (`renderers.stopwatch.Stopwatch.stage`)."""
 
@@ -39,6 +38,15 @@ def standalone_context() -> moderngl.Context:
     return moderngl.create_standalone_context(require=330, backend="egl")  # type: ignore[arg-type]
 
 
+def context_for(technique: str, part: str) -> moderngl.Context:
+    """A `standalone_context` for a technique's ``part``, which numba could do as well. InputError without a driver."""
+    try:
+        return standalone_context()
+    except Exception as error:  # moderngl raises nothing narrower
+        wanted = f"an EGL driver (Debian: apt-get install libegl1 libgl1-mesa-dri), or {part}: numba"
+        raise InputError(problem(technique, f"{part} by moderngl", error, wanted)) from error
+
+
 class MeshRasteriser:
     """Draws a grid mesh of ``columns`` x ``rows`` vertices into ``size_px``; `close` frees its context.
 
@@ -49,11 +57,7 @@ class MeshRasteriser:
 
     def __init__(self, size_px: tuple[int, int], columns: int, rows: int, stage: Stage = unmeasured) -> None:
         self.size_px, self._stage = size_px, stage
-        try:
-            self.gl = standalone_context()
-        except Exception as error:  # moderngl raises nothing narrower
-            wanted = "an EGL driver (Debian: apt-get install libegl1 libgl1-mesa-dri), or rasteriser: numba"
-            raise InputError(problem("foveated", "rasteriser by moderngl", error, wanted)) from error
+        self.gl = context_for("foveated", "rasteriser")
         shaders = files("renderers.gl")
         with self.gl:
             self._program = self.gl.program(
